@@ -1,0 +1,26 @@
+# make help says what each target does.
+.PHONY: help setup run test clean
+
+# MPI ranks share the cores, so each keeps to one thread; no screen is needed to draw.
+export OMP_NUM_THREADS ?= 1
+export PYVISTA_OFF_SCREEN ?= true
+export MPLBACKEND ?= Agg
+
+RUN_FOLDER ?= runs/screw
+
+help: ## this list
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' Makefile
+
+setup: ## make .venv with everything that is needed (idempotent)
+	@.ci/setup
+
+run: setup ## the screw of both alloys, 0 to 24 weeks, quick resolution: runs/screw/report.html
+	.venv/bin/perilife run --alloy Mg-5Gd Mg-10Gd --immersion 0w 1w 2w 4w 8w 24w \
+		--resolution quick --out $(RUN_FOLDER) --resume
+
+test: setup ## every test that is not marked slow
+	.venv/bin/python -m pytest -q
+
+clean: ## remove .venv, runs/screw and caches
+	rm -rf .venv $(RUN_FOLDER) build dist ./*.egg-info .pytest_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
