@@ -1,0 +1,97 @@
+"""What this machine is and has: processor, memory, free disk, versions of what computes."""
+
+import os
+import platform
+import shutil
+import sys
+from importlib import metadata
+from pathlib import Path
+
+_PACKAGES = ("numpy", "scipy", "numba", "h5py", "gmsh", "fenics-dolfinx", "petsc4py", "mpi4py")
+
+
+def version() -> str:
+    """Version of the installed perilife, or `0+unknown` when it is not installed."""
+    try:
+        return metadata.version("perilife")
+    except metadata.PackageNotFoundError:
+        return "0+unknown"
+
+
+def package_versions() -> dict[str, str]:
+    """Versions of perilife, Python and the packages that compute, as far as installed."""
+    versions = {"perilife": version(), "python": platform.python_version()}
+    for name in _PACKAGES:
+        try:
+            versions[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return versions
+
+
+def processor_cores() -> int:
+    """Cores that this process may use (its affinity, not what the machine holds)."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def describe_machine() -> dict[str, object]:
+    """Processor, cores, memory and system, for benchmarks and reports."""
+    return {
+        "processor": _processor_name(),
+        "cores": processor_cores(),
+        "memory_bytes": total_memory(),
+        "system": platform.platform(terse=True),
+        "python": platform.python_version(),
+    }
+
+
+def total_memory() -> int:
+    """Physical memory in bytes, or the control group's limit where that is smaller."""
+    total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    limit = _control_group_number("memory.max")
+    return min(total, limit) if limit else total
+
+
+def available_memory() -> int:
+    """Bytes that a new computation may take without swapping (Linux), else the total."""
+    available = _meminfo("MemAvailable") or total_memory()
+    limit, used = _control_group_number("memory.max"), _control_group_number("memory.current")
+    if limit and used is not None:
+        available = min(available, max(limit - used, 0))
+    return available
+
+
+def free_disk(folder: Path) -> int:
+    """Free bytes on the file system that holds `folder` or its nearest existing parent."""
+    folder = Path(folder).absolute()
+    while not folder.exists():
+        folder = folder.parent
+    return shutil.disk_usage(folder).free
+
+
+def _processor_name() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    except OSError:
+        pass
+    return platform.processor() or sys.platform
+
+
+def _meminfo(key: str) -> int | None:
+    try:
+        for line in Path("/proc/meminfo").read_text().splitlines():
+            if line.startswith(key + ":"):
+                return int(line.split()[1]) * 1024
+    except OSError:
+        pass
+    return None
+
+
+def _control_group_number(name: str) -> int | None:
+    try:
+        text = Path("/sys/fs/cgroup", name).read_text().strip()
+    except OSError:
+        return None
+    return int(text) if text.isdigit() else None

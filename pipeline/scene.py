@@ -1,0 +1,419 @@
+"""The resolved scene: every number a run depends on, checked, stored and hashed.
+
+A scene is built once (pipeline.resolve), written as `scene.json` and never changed; each
+stage reads its numbers from it.  `geometry_hash`, `corrosion_hash`, `map_hash`, `pull_hash` say
+which numbers each stage depends on, so that a stage is repeated only when one of them changes.
+"""
+
+import dataclasses
+import hashlib
+import json
+import math
+import types
+import typing
+from dataclasses import dataclass, field
+
+from .units import ImmersionTime, format_length
+
+SCHEMA_VERSION = 1
+DOMAIN_SHAPES = ("cylinder", "ball")
+BOUNDARIES = ("refreshed", "no_flux")
+SATURATIONS = ("complementarity", "as_published", "none")
+TIME_SCHEMES = ("backward_euler", "sdirk2", "forward_euler")
+CALIBRATIONS = ("discrete", "closed")
+THREADS = ("helical", "grooves", "none")
+ELEMENTS = ("P1", "P1_fbar", "P2")
+GRIPS = ("end_faces", "clamped", "beyond_slot")
+
+
+class SceneError(ValueError):
+    """A scene that cannot be computed; the message names field, value and what is allowed."""
+
+
+def _check(condition: bool, name: str, value: object, allowed: str) -> None:
+    if not condition:
+        raise SceneError(f"{name} is {value}; it must be {allowed}")
+
+
+def _positive(name: str, value: float) -> None:
+    _check(math.isfinite(value) and value > 0, name, value, "a finite number above 0")
+
+
+def _one_of(name: str, value: str, allowed: tuple[str, ...]) -> None:
+    _check(value in allowed, name, f"'{value}'", f"one of {', '.join(allowed)}")
+
+
+@dataclass(frozen=True)
+class ScrewGeometry:
+    """The parametric screw, metres; its axis is z, the slot is at z = length."""
+
+    diameter: float = 2.0e-3
+    length: float = 4.0e-3
+    pitch: float = 0.4e-3
+    thread: str = "helical"
+    slot_width: float = 0.5e-3
+    slot_depth: float = 0.5e-3
+    kind: str = "screw"
+
+    def __post_init__(self) -> None:
+        for name in ("diameter", "length", "pitch"):
+            _positive(name.replace("_", " "), getattr(self, name))
+        _one_of("thread", self.thread, THREADS)
+        for name, top, limit in (
+            ("slot_width", self.diameter, "diameter"),
+            ("slot_depth", self.length, "length"),
+        ):
+            value = getattr(self, name)
+            _check(
+                0 <= value < top,
+                name.replace("_", " "),
+                format_length(value) if value >= 0 else value,
+                f"at least 0 and below the {limit}, {format_length(top)}",
+            )
+        _check(
+            self.thread == "none" or self.pitch < min(self.length, self.diameter),
+            "pitch",
+            format_length(self.pitch),
+            "below diameter and length of the screw",
+        )
+
+
+@dataclass(frozen=True)
+class SolidFile:
+    """A closed solid from a STEP, BREP or STL file; sha256 is that of the file's content."""
+
+    path: str
+    unit: str
+    sha256: str
+    kind: str = "file"
+
+
+@dataclass(frozen=True)
+class LatticeSettings:
+    """Spacing and horizon of the peridynamic lattice (m); samples per axis and cell for the
+    volume fraction."""
+
+    spacing: float
+    horizon: float
+    samples: int = 4
+
+    def __post_init__(self) -> None:
+        _positive("lattice spacing", self.spacing)
+        ratio = self.horizon / self.spacing
+        _check(
+            0.999 <= ratio <= 8.001,
+            "horizon",
+            format_length(self.horizon),
+            f"1 to 8 lattice spacings of {format_length(self.spacing)}",
+        )
+        _check(1 <= self.samples <= 16, "samples per axis", self.samples, "1 to 16")
+
+
+@dataclass(frozen=True)
+class DomainSettings:
+    """Liquid around the solid: a cylinder along z or a ball, centred on the solid.
+
+    diameter, height (m, outer dimensions; the outermost layer, one horizon wide, holds the
+    refreshed medium when boundary is "refreshed").  height is not used by the ball.
+    """
+
+    shape: str = "cylinder"
+    diameter: float = 3.0e-3
+    height: float = 4.8e-3
+    boundary: str = "refreshed"
+
+    def __post_init__(self) -> None:
+        _one_of("domain shape", self.shape, DOMAIN_SHAPES)
+        _one_of("boundary", self.boundary, BOUNDARIES)
+        _positive("domain diameter", self.diameter)
+        _positive("domain height", self.height)
+
+
+@dataclass(frozen=True)
+class CorrosionSettings:
+    """How the bi-material model is solved: scheme, step (s), saturation, stencil constants."""
+
+    step: float
+    scheme: str = "backward_euler"
+    saturation: str = "complementarity"
+    calibration: str = "discrete"
+    influence: str = "constant"
+    kernel_exponent: float = 0.0
+
+    def __post_init__(self) -> None:
+        _positive("corrosion step", self.step)
+        _one_of("time scheme", self.scheme, TIME_SCHEMES)
+        _one_of("saturation", self.saturation, SATURATIONS)
+        _one_of("calibration", self.calibration, CALIBRATIONS)
+        _one_of("influence function", self.influence, ("constant", "linear"))
+        _check(0 <= self.kernel_exponent < 1, "kernel exponent", self.kernel_exponent, "in [0, 1)")
+
+
+@dataclass(frozen=True)
+class CorrosionParameters:
+    """Constants of the bi-material model for one alloy, SI (mol/m^3, m^2/s, m).
+
+    interface_diffusivity belongs to the lattice it was calibrated on (calibration_spacing,
+    calibration_horizon); pipeline.corrosion_stage turns it into a dissolution flux there, once.
+    volume_loss_scale is l of Eq. 5.13, dimensionless.
+    """
+
+    solid_concentration: float
+    saturation_concentration: float
+    liquid_diffusivity: float
+    interface_diffusivity: float
+    volume_loss_scale: float
+    calibration_spacing: float = 100e-6
+    calibration_horizon: float = 200e-6
+
+    def __post_init__(self) -> None:
+        for name in dataclasses.fields(self):
+            _positive(name.name.replace("_", " "), getattr(self, name.name))
+        _check(
+            self.saturation_concentration < self.solid_concentration,
+            "saturation concentration",
+            f"{self.saturation_concentration} mol/m^3",
+            f"below the solid concentration, {self.solid_concentration} mol/m^3",
+        )
+
+
+@dataclass(frozen=True)
+class MaterialParameters:
+    """Elasticity (Pa), Voce hardening s0 + Q (1 - exp(-b eps)) (Pa, Pa, 1) and q1."""
+
+    young_modulus: float
+    poisson_ratio: float
+    initial_yield_stress: float
+    hardening_capacity: float
+    hardening_rate: float
+    q1: float = 1.5
+
+    def __post_init__(self) -> None:
+        _positive("Young modulus", self.young_modulus)
+        _check(
+            0 <= self.poisson_ratio < 0.5,
+            "Poisson ratio",
+            self.poisson_ratio,
+            "at least 0 and below 0.5",
+        )
+        _positive("initial yield stress", self.initial_yield_stress)
+        for name in ("hardening_capacity", "hardening_rate"):
+            value = getattr(self, name)
+            _check(
+                math.isfinite(value) and value >= 0, name.replace("_", " "), value, "at least 0"
+            )
+        _positive("q1", self.q1)
+
+
+@dataclass(frozen=True)
+class AlloyScene:
+    """One alloy of the scene: its name, where it came from, and its constants."""
+
+    name: str
+    corrosion: CorrosionParameters
+    material: MaterialParameters
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        _check(
+            bool(self.name) and "/" not in self.name and not self.name.startswith("."),
+            "alloy name",
+            f"'{self.name}'",
+            "a name without '/' that does not start with a dot",
+        )
+
+
+@dataclass(frozen=True)
+class MeshSettings:
+    """Edge length of the tetrahedra in the bulk and at thread and slot (m)."""
+
+    size: float
+    size_fine: float
+
+    def __post_init__(self) -> None:
+        _positive("mesh size", self.size)
+        _positive("fine mesh size", self.size_fine)
+        _check(
+            self.size_fine <= self.size,
+            "fine mesh size",
+            format_length(self.size_fine),
+            f"at most the mesh size, {format_length(self.size)}",
+        )
+
+
+@dataclass(frozen=True)
+class TensileScene:
+    """The tensile test: element, nominal strain at the end, largest increment, grips."""
+
+    element: str = "P1"
+    final_strain: float = 0.10
+    increment: float = 0.005
+    grips: str = "end_faces"
+    whole_curve: bool = True
+
+    def __post_init__(self) -> None:
+        _one_of("element", self.element, ELEMENTS)
+        _one_of("grips", self.grips, GRIPS)
+        _check(0 < self.final_strain <= 1, "final strain", self.final_strain, "in (0, 1]")
+        _check(
+            0 < self.increment <= self.final_strain,
+            "tensile increment",
+            self.increment,
+            f"above 0 and at most the final strain, {self.final_strain}",
+        )
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Every number of a run, SI; `resolution` and `parameter_set` only say where from."""
+
+    resolution: str
+    parameter_set: str
+    geometry: ScrewGeometry | SolidFile
+    immersion: tuple[ImmersionTime, ...]
+    alloys: tuple[AlloyScene, ...]
+    lattice: LatticeSettings
+    domain: DomainSettings
+    corrosion: CorrosionSettings
+    mesh: MeshSettings
+    tensile: TensileScene
+    measured_volume_loss: dict[str, str] = field(default_factory=dict)
+    schema_version: int = SCHEMA_VERSION
+
+    def __post_init__(self) -> None:
+        _check(bool(self.alloys), "list of alloys", "empty", "at least one alloy")
+        names = [alloy.name for alloy in self.alloys]
+        _check(len(set(names)) == len(names), "list of alloys", names, "without repetition")
+        _check(bool(self.immersion), "list of immersion times", "empty", "at least one time")
+        seconds = [time.seconds for time in self.immersion]
+        _check(
+            seconds[0] >= 0 and all(a < b for a, b in zip(seconds, seconds[1:], strict=False)),
+            "list of immersion times",
+            [time.label for time in self.immersion],
+            "at least 0 and rising",
+        )
+
+    def alloy(self, name: str) -> AlloyScene:
+        """The alloy called `name`; SceneError names those of the scene."""
+        for alloy in self.alloys:
+            if alloy.name == name:
+                return alloy
+        known = ", ".join(alloy.name for alloy in self.alloys)
+        raise SceneError(f"alloy '{name}' is not part of this run; it has {known}")
+
+    def time(self, label: str) -> ImmersionTime:
+        """The immersion time called `label`; SceneError names those of the scene."""
+        for time in self.immersion:
+            if time.label == label:
+                return time
+        known = ", ".join(time.label for time in self.immersion)
+        raise SceneError(f"immersion time '{label}' is not part of this run; it has {known}")
+
+    def with_intact(self) -> tuple[ImmersionTime, ...]:
+        """The immersion times with time zero in front, which the strength ratio needs."""
+        if self.immersion[0].seconds == 0:
+            return self.immersion
+        return (ImmersionTime("0w", 0.0), *self.immersion)
+
+    def to_json(self) -> dict:
+        """Plain mapping that `scene_from_json` turns back into an equal scene."""
+        return json.loads(json.dumps(dataclasses.asdict(self), allow_nan=False))
+
+    def hash(self) -> str:
+        """Hash of everything in the scene."""
+        return content_hash(self.to_json())
+
+
+def content_hash(*parts: object) -> str:
+    """SHA-256 of the canonical JSON of `parts` (sorted keys, shortest round-trip floats)."""
+    text = json.dumps(parts, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def geometry_hash(scene: Scene) -> str:
+    """What the solid and its mesh depend on; a solid file counts by its content."""
+    geometry = dataclasses.asdict(scene.geometry)
+    geometry.pop("path", None)
+    return content_hash("geometry", geometry, dataclasses.asdict(scene.mesh))
+
+
+def corrosion_hash(scene: Scene, alloy: str) -> str:
+    """What the corrosion march of one alloy depends on; the mesh is not part of it."""
+    geometry = dataclasses.asdict(scene.geometry)
+    geometry.pop("path", None)
+    return content_hash(
+        "corrosion",
+        geometry,
+        dataclasses.asdict(scene.lattice),
+        dataclasses.asdict(scene.domain),
+        dataclasses.asdict(scene.corrosion),
+        dataclasses.asdict(scene.alloy(alloy).corrosion),
+        [time.seconds for time in scene.with_intact()],
+    )
+
+
+def map_hash(scene: Scene, alloy: str, time: ImmersionTime) -> str:
+    """What the damage map of one alloy and time depends on."""
+    return content_hash(
+        "map",
+        geometry_hash(scene),
+        corrosion_hash(scene, alloy),
+        time.seconds,
+        scene.tensile.element,
+        scene.alloy(alloy).material.q1,
+    )
+
+
+def pull_hash(scene: Scene, alloy: str, time: ImmersionTime) -> str:
+    """What the tensile test of one alloy and time depends on."""
+    return content_hash(
+        "pull",
+        map_hash(scene, alloy, time),
+        dataclasses.asdict(scene.alloy(alloy).material),
+        dataclasses.asdict(scene.tensile),
+    )
+
+
+def scene_from_json(content: dict) -> Scene:
+    """Rebuild and check a scene; SceneError when a field is missing, unknown or wrong."""
+    if not isinstance(content, dict):
+        raise SceneError("scene file does not hold a JSON object, which it must")
+    version = content.get("schema_version")
+    _check(version == SCHEMA_VERSION, "schema version of the scene", version, f"{SCHEMA_VERSION}")
+    return _build(Scene, content, "scene")
+
+
+def _build(kind: typing.Any, value: typing.Any, where: str) -> typing.Any:
+    """Turn parsed JSON into `kind`, following the type hints of the dataclasses."""
+    origin = typing.get_origin(kind)
+    if origin in (types.UnionType, typing.Union):
+        tags = {option.kind: option for option in typing.get_args(kind)}
+        tag = value.get("kind") if isinstance(value, dict) else None
+        _check(tag in tags, f"kind of {where}", tag, f"one of {', '.join(tags)}")
+        return _build(tags[tag], value, where)
+    if origin is tuple:
+        _check(isinstance(value, list), where, value, "a list")
+        inner = typing.get_args(kind)[0]
+        return tuple(_build(inner, item, f"{where}[{n}]") for n, item in enumerate(value))
+    if dataclasses.is_dataclass(kind):
+        _check(isinstance(value, dict), where, value, "an object")
+        hints = typing.get_type_hints(kind)
+        unknown = sorted(set(value) - set(hints))
+        _check(not unknown, f"field '{', '.join(unknown)}' of {where}", "unknown", "left out")
+        missing = sorted(
+            f.name
+            for f in dataclasses.fields(kind)
+            if f.name not in value
+            and f.default is dataclasses.MISSING
+            and f.default_factory is dataclasses.MISSING
+        )
+        _check(not missing, f"field '{', '.join(missing)}' of {where}", "missing", "given")
+        return kind(**{k: _build(hints[k], v, f"{where}.{k}") for k, v in value.items()})
+    if kind is float:
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        _check(number, where, repr(value), "a number")
+        return float(value)
+    if kind in (int, str, bool):
+        exact = type(value) is kind
+        _check(exact, where, repr(value), f"of type {kind.__name__}")
+    return value

@@ -1,0 +1,101 @@
+"""Units that a person types or reads; everything else in the project is SI."""
+
+import math
+import re
+from dataclasses import dataclass
+
+SECONDS_PER = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "w": 604800.0}
+"""Time units accepted on the command line and their length in seconds."""
+
+METRES_PER = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "inch": 0.0254}
+"""Length units accepted for solids from a file and their length in metres."""
+
+_TIME = re.compile(r"([+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)\s*([a-zA-Z]*)")
+
+
+@dataclass(frozen=True)
+class ImmersionTime:
+    """One immersion time: the text the person typed (it names a folder) and seconds."""
+
+    label: str
+    seconds: float
+
+    @property
+    def days(self) -> float:
+        """The same time in days."""
+        return self.seconds / SECONDS_PER["d"]
+
+
+def parse_time(text: str, field: str = "immersion time") -> ImmersionTime:
+    """Read a time such as `8w`, `56d`, `36h`, `90min` or `30s`.
+
+    Raises ValueError with one sentence when the number, the unit or the sign is wrong.
+    """
+    allowed = ", ".join(SECONDS_PER)
+    match = _TIME.fullmatch(text.strip())
+    if match is None or match.group(2) not in SECONDS_PER:
+        raise ValueError(
+            f"{field} '{text}' is not understood; give a number and a unit out of "
+            f"{allowed}, for example 8w, 56d or 36h"
+        )
+    seconds = float(match.group(1)) * SECONDS_PER[match.group(2)]
+    if not math.isfinite(seconds) or seconds < 0 or match.group(1).startswith("-"):
+        raise ValueError(f"{field} '{text}' is negative or infinite; it must be at least 0")
+    return ImmersionTime(label=text.strip().replace(" ", ""), seconds=seconds)
+
+
+def parse_immersion_times(texts: list[str] | tuple[str, ...]) -> tuple[ImmersionTime, ...]:
+    """Read a list of immersion times that must rise strictly.
+
+    Raises ValueError with one sentence for an empty list, a wrong or negative time, times
+    that fall, or one time given twice (also in two spellings, such as `7d` and `1w`).
+    """
+    if not texts:
+        raise ValueError("no immersion time was given; give at least one, for example 8w")
+    times = tuple(parse_time(text) for text in texts)
+    for earlier, later in zip(times, times[1:], strict=False):
+        if later.seconds == earlier.seconds:
+            raise ValueError(
+                f"immersion times {earlier.label} and {later.label} are the same time; "
+                "each must be given once"
+            )
+        if later.seconds < earlier.seconds:
+            raise ValueError(
+                f"immersion time {later.label} comes after {earlier.label}; "
+                "the times must rise from left to right"
+            )
+    return times
+
+
+def metres(value: float, unit: str, field: str = "length") -> float:
+    """Convert `value` in `unit` to metres; ValueError names the units that are known."""
+    if unit not in METRES_PER:
+        raise ValueError(
+            f"unit '{unit}' of {field} is not known; it must be one of {', '.join(METRES_PER)}"
+        )
+    return value * METRES_PER[unit]
+
+
+def format_seconds(seconds: float) -> str:
+    """Write a run time for a reader: `0.8 s`, `42 s`, `3 min 12 s`, `2 h 05 min`."""
+    if seconds < 9.95:
+        return f"{seconds:.1f} s"
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02d} s"
+    return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+
+
+def format_bytes(count: float) -> str:
+    """Write a size for a reader: `512 B`, `3.4 MB`, `1.2 GB` (powers of 1000)."""
+    for unit, size in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if count >= size:
+            return f"{count / size:.1f} {unit}"
+    return f"{count:.0f} B"
+
+
+def format_length(value: float) -> str:
+    """Write a length in metres for a reader, in um or mm."""
+    return f"{value * 1e6:.4g} um" if value < 1e-3 else f"{value * 1e3:.4g} mm"

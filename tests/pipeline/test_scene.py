@@ -1,0 +1,203 @@
+"""The scene: checked once, stored as JSON without loss, hashed stage by stage."""
+
+import dataclasses
+import json
+
+import pytest
+
+from pipeline.scene import (
+    AlloyScene,
+    CorrosionParameters,
+    CorrosionSettings,
+    DomainSettings,
+    LatticeSettings,
+    MaterialParameters,
+    MeshSettings,
+    Scene,
+    SceneError,
+    ScrewGeometry,
+    SolidFile,
+    TensileScene,
+    corrosion_hash,
+    geometry_hash,
+    map_hash,
+    pull_hash,
+    scene_from_json,
+)
+from pipeline.units import (
+    format_bytes,
+    format_seconds,
+    metres,
+    parse_immersion_times,
+    parse_time,
+)
+
+
+def _alloy(name: str = "Mg-A") -> AlloyScene:
+    return AlloyScene(
+        name=name,
+        corrosion=CorrosionParameters(66082.4, 0.6608, 8.6822e-9, 2.8779e-15, 0.2355),
+        material=MaterialParameters(43e9, 0.3, 130e6, 120e6, 10.0),
+        source="a test",
+    )
+
+
+@pytest.fixture
+def scene() -> Scene:
+    return Scene(
+        resolution="quick",
+        parameter_set="a test",
+        geometry=ScrewGeometry(),
+        immersion=parse_immersion_times(["1w", "8w"]),
+        alloys=(_alloy("Mg-A"), _alloy("Mg-B")),
+        lattice=LatticeSettings(100e-6, 200e-6),
+        domain=DomainSettings(),
+        corrosion=CorrosionSettings(step=43200.0),
+        mesh=MeshSettings(0.3e-3, 0.2e-3),
+        tensile=TensileScene(),
+    )
+
+
+@pytest.mark.parametrize(
+    "text, seconds",
+    [("8w", 4838400.0), ("56d", 4838400.0), ("36h", 129600.0), ("1.5d", 129600.0), ("0w", 0.0)],
+)
+def test_times_are_read_with_their_unit(text, seconds):
+    time = parse_time(text)
+    assert (time.label, time.seconds) == (text, seconds)
+    assert time.days == seconds / 86400
+
+
+@pytest.mark.parametrize("text", ["8", "8 months", "w", "", "-1w", "1e999d", "nan d", "8W"])
+def test_wrong_times_are_named(text):
+    with pytest.raises(ValueError, match="immersion time") as refusal:
+        parse_time(text)
+    assert repr(text) in str(refusal.value)
+
+
+def test_unsorted_and_repeated_times_are_refused():
+    with pytest.raises(ValueError, match="must rise"):
+        parse_immersion_times(["8w", "1w"])
+    with pytest.raises(ValueError, match="the same time"):
+        parse_immersion_times(["7d", "1w"])
+    with pytest.raises(ValueError, match="at least one"):
+        parse_immersion_times([])
+
+
+def test_lengths_need_a_known_unit():
+    assert metres(2.0, "mm") == 2.0e-3
+    with pytest.raises(ValueError, match="unit 'furlong'.*m, cm, mm, um, inch"):
+        metres(1.0, "furlong", "the solid")
+
+
+def test_numbers_for_readers():
+    assert [format_seconds(t) for t in (0.84, 42.2, 192, 7500)] == [
+        "0.8 s",
+        "42 s",
+        "3 min 12 s",
+        "2 h 05 min",
+    ]
+    assert [format_bytes(n) for n in (12, 3.4e6, 1.2e9)] == ["12 B", "3.4 MB", "1.2 GB"]
+
+
+@pytest.mark.parametrize("solid", [ScrewGeometry(), SolidFile("part.stl", "mm", "0" * 64)])
+def test_json_round_trip_gives_an_equal_scene(scene, solid):
+    scene = dataclasses.replace(scene, geometry=solid)
+    restored = scene_from_json(json.loads(json.dumps(scene.to_json())))
+    assert restored == scene
+    assert restored.hash() == scene.hash()
+    assert type(restored.geometry) is type(solid)
+
+
+def test_unknown_missing_and_mistyped_fields_are_named(scene):
+    content = scene.to_json()
+    content["lattice"]["colour"] = "red"
+    with pytest.raises(SceneError, match=r"colour.*scene\.lattice"):
+        scene_from_json(content)
+    content = scene.to_json()
+    del content["mesh"]["size"]
+    with pytest.raises(SceneError, match=r"'size' of scene\.mesh is missing"):
+        scene_from_json(content)
+    content = scene.to_json()
+    content["lattice"]["spacing"] = "100 um"
+    with pytest.raises(SceneError, match=r"scene\.lattice\.spacing is '100 um'"):
+        scene_from_json(content)
+
+
+@pytest.mark.parametrize(
+    "make, words",
+    [
+        (lambda: dataclasses.replace(_alloy().material, poisson_ratio=0.5), "Poisson ratio is 0.5"),
+        (lambda: dataclasses.replace(_alloy().material, young_modulus=-1.0), "Young modulus is -1"),
+        (lambda: dataclasses.replace(_alloy().corrosion, liquid_diffusivity=float("nan")), "liquid"),
+        (lambda: dataclasses.replace(_alloy().corrosion, saturation_concentration=7e4), "below"),
+        (lambda: LatticeSettings(100e-6, 50e-6), "horizon is 50 um"),
+        (lambda: LatticeSettings(10e-6, 200e-6), "horizon is 200 um"),
+        (lambda: LatticeSettings(0.0, 200e-6), "lattice spacing is 0.0"),
+        (lambda: ScrewGeometry(slot_width=3e-3), "slot width is 3 mm"),
+        (lambda: ScrewGeometry(diameter=-1.0), "diameter is -1.0"),
+        (lambda: ScrewGeometry(thread="left"), "thread is 'left'"),
+        (lambda: ScrewGeometry(pitch=5e-3), "pitch is 5 mm"),
+        (lambda: MeshSettings(1e-4, 2e-4), "fine mesh size is 200 um"),
+        (lambda: CorrosionSettings(step=0.0), "corrosion step is 0.0"),
+        (lambda: CorrosionSettings(step=1.0, saturation="maybe"), "saturation is 'maybe'"),
+        (lambda: TensileScene(final_strain=0.0), "final strain is 0.0"),
+        (lambda: TensileScene(increment=0.5), "tensile increment is 0.5"),
+        (lambda: DomainSettings(shape="cube"), "domain shape is 'cube'"),
+    ],
+)
+def test_values_out_of_range_are_refused_with_one_sentence(make, words):
+    with pytest.raises(SceneError, match=words) as refusal:
+        make()
+    assert "must be" in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+def test_each_stage_depends_on_its_own_numbers_only(scene):
+    """Changing one number must repeat exactly the stages that it enters."""
+    time = scene.immersion[1]
+
+    def hashes(s: Scene) -> list[str]:
+        return [
+            geometry_hash(s),
+            corrosion_hash(s, "Mg-A"),
+            corrosion_hash(s, "Mg-B"),
+            map_hash(s, "Mg-A", time),
+            pull_hash(s, "Mg-A", time),
+            pull_hash(s, "Mg-B", time),
+        ]
+
+    def changed(**fields) -> list[bool]:
+        other = dataclasses.replace(scene, **fields)
+        return [a != b for a, b in zip(hashes(scene), hashes(other), strict=True)]
+
+    strong = dataclasses.replace(
+        scene.alloys[0],
+        material=dataclasses.replace(scene.alloys[0].material, initial_yield_stress=200e6),
+    )
+    slow = dataclasses.replace(
+        scene.alloys[0],
+        corrosion=dataclasses.replace(scene.alloys[0].corrosion, volume_loss_scale=0.3),
+    )
+    assert len(set(hashes(scene))) == 4  # the two alloys have the same numbers here
+    assert changed(mesh=MeshSettings(0.2e-3, 0.1e-3)) == [True, False, False, True, True, True]
+    assert changed(corrosion=CorrosionSettings(step=1e4)) == [False, True, True, True, True, True]
+    assert changed(tensile=TensileScene(increment=0.01)) == [False] * 4 + [True] * 2
+    assert changed(alloys=(strong, scene.alloys[1])) == [False] * 4 + [True, False]
+    assert changed(alloys=(slow, scene.alloys[1])) == [False, True, False, True, True, False]
+    assert changed(geometry=ScrewGeometry(length=5e-3)) == [True] * 6
+
+
+def test_a_solid_file_counts_by_content_not_by_place(scene):
+    def with_file(path: str, digest: str) -> Scene:
+        return dataclasses.replace(scene, geometry=SolidFile(path, "mm", digest))
+
+    here = with_file("a.stl", "0" * 64)
+    assert geometry_hash(here) == geometry_hash(with_file("b.stl", "0" * 64))
+    assert geometry_hash(here) != geometry_hash(with_file("a.stl", "1" * 64))
+
+
+def test_time_zero_is_added_in_front_for_the_strength_ratio(scene):
+    assert [t.seconds for t in scene.with_intact()] == [0.0, 604800.0, 4838400.0]
+    started = dataclasses.replace(scene, immersion=parse_immersion_times(["0d", "8w"]))
+    assert started.with_intact() == started.immersion
