@@ -1,0 +1,251 @@
+"""Pictures of the corroded solid, rendered off screen with VTK.
+
+`screw_picture` renders one state of a tetrahedral mesh with a corrosion damage per node.  A crash of
+a graphics library must not take a finished computation with it, so the report renders through
+`render_pictures`, which does the same in a child process and says in one sentence what went wrong.
+`write_overview` combines pictures and the strength curve in one PNG.
+
+`python -m pipeline.pictures JOB.npz` is that child process.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+logger = logging.getLogger(__name__)
+
+#: Corrosion damage at which the metal carries nothing, 1/q1 with q1 = 1.5 (MODEL.md 6).
+MAXIMUM_DAMAGE = 2.0 / 3.0
+#: Metal counts as gone in a picture from this share of the maximum damage on.  Node values are
+#: averages over cells, so the limit itself is reached only in the middle of what is gone.
+GONE = 0.97
+#: Colours of corrosion damage from none to the maximum: sound metal light grey, then yellow to
+#: brown with falling lightness, readable without colour vision.
+DAMAGE_COLOURS = ("#d5dae1", "#f0dca0", "#eeb04e", "#d97a1e", "#a8480c", "#6e2a08")
+
+
+def damage_at_points(
+    points: NDArray[np.float64], cells: NDArray[np.int64], cell_damage: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Volume-weighted average of a damage per cell at the mesh points.
+
+    Parameters
+    ----------
+    points : (n, 3) coordinates, m.
+    cells : (nc, 4) four-node tetrahedra.
+    cell_damage : (nc,) or (nc, nq) corrosion damage f0 per cell or quadrature point, [0, 2/3].
+
+    Returns
+    -------
+    (n,) corrosion damage; 0 at points that no cell uses.  Bounded by the values of the cells around.
+    """
+    damage = np.asarray(cell_damage, dtype=float).reshape(len(cells), -1).mean(axis=1)
+    corner = points[cells]
+    edges = corner[:, 1:] - corner[:, :1]
+    volume = np.abs(np.linalg.det(edges)) / 6.0
+    weight = np.bincount(cells.ravel(), np.repeat(volume, 4), minlength=len(points))
+    total = np.bincount(cells.ravel(), np.repeat(volume * damage, 4), minlength=len(points))
+    return np.divide(total, weight, out=np.zeros(len(points)), where=weight > 0.0)
+
+
+def screw_picture(
+    points: NDArray[np.float64],
+    cells: NDArray[np.int64],
+    corrosion_damage: NDArray[np.float64],
+    *,
+    cut: bool = False,
+    size: tuple[int, int] = (300, 440),
+    maximum_damage: float = MAXIMUM_DAMAGE,
+    outline: bool = True,
+    azimuth: float = 35.0,
+    elevation: float = 22.0,
+) -> NDArray[np.uint8]:
+    """Render the metal that is left, coloured by corrosion damage, on a transparent background.
+
+    Metal at `maximum_damage` carries nothing and is not drawn; with `outline` the intact solid stands
+    around what is left as a faint shell.  All pictures of one mesh have the same camera and scale.
+
+    Parameters
+    ----------
+    points : (n, 3) coordinates of the original solid, m; the long axis is z.
+    cells : (nc, 4) four-node tetrahedra.
+    corrosion_damage : (n,) at the points, or (nc,) or (nc, nq) in the cells.
+    cut : take away the half that faces the viewer and show the inside.
+    size : width and height of the picture, pixels.
+    azimuth, elevation : direction of view, degrees.
+
+    Returns
+    -------
+    (height, width, 4) RGBA, uint8.
+    """
+    import pyvista
+    from matplotlib.colors import LinearSegmentedColormap
+    from PIL import Image
+
+    points = np.asarray(points, dtype=float)
+    damage = np.asarray(corrosion_damage, dtype=float)
+    if damage.shape != (len(points),):
+        damage = damage_at_points(points, cells, damage)
+    low, high = points.min(axis=0), points.max(axis=0)
+    centre, scale = 0.5 * (low + high), 1.0 / (high - low).max()
+    cell_types = np.full(len(cells), pyvista.CellType.TETRA)
+    padded = np.column_stack([np.full(len(cells), 4), cells]).ravel()
+    intact = pyvista.UnstructuredGrid(padded, cell_types, (points - centre) * scale)
+    intact.point_data["corrosion_damage"] = damage
+
+    turn, rise = np.radians(azimuth), np.radians(elevation)
+    facing = np.array([np.cos(turn), np.sin(turn), 0.0])
+    left = intact
+    if damage.max() >= GONE * maximum_damage:
+        left = intact.clip_scalar("corrosion_damage", value=GONE * maximum_damage, invert=True)
+    if cut and left.n_cells:
+        left = left.clip(normal=facing, origin=(0.0, 0.0, 0.0), invert=True)
+
+    oversampling = 2
+    plotter = pyvista.Plotter(
+        off_screen=True, window_size=[oversampling * s for s in size], lighting="none"
+    )
+    try:
+        _add_lights(plotter, pyvista, turn)
+        if left.n_cells:
+            surface = left.extract_surface(algorithm="dataset_surface").triangulate()
+            surface = surface.compute_normals(
+                split_vertices=True, feature_angle=35.0, cell_normals=False
+            )
+            plotter.add_mesh(
+                surface,
+                scalars="corrosion_damage",
+                clim=(0.0, maximum_damage),
+                cmap=LinearSegmentedColormap.from_list("corrosion", DAMAGE_COLOURS),
+                smooth_shading=True,
+                show_scalar_bar=False,
+                ambient=0.28,
+                diffuse=0.78,
+                specular=0.12,
+                specular_power=18,
+            )
+        if outline and damage.max() > 0.0:
+            shell = intact.extract_surface(algorithm="dataset_surface")
+            if cut:
+                shell = shell.clip(normal=facing, origin=(0.0, 0.0, 0.0), invert=True)
+            plotter.add_mesh(shell, color="#8a94a3", opacity=0.10, lighting=False)
+        view = np.array([*(np.cos(rise) * facing[:2]), np.sin(rise)])
+        plotter.camera.position = tuple(5.0 * view)
+        plotter.camera.focal_point = (0.0, 0.0, 0.0)
+        plotter.camera.up = (0.0, 0.0, 1.0)
+        plotter.enable_parallel_projection()
+        plotter.camera.parallel_scale = _half_height(high - low, rise, size) * scale
+        image = plotter.screenshot(None, transparent_background=True, return_img=True)
+    finally:
+        plotter.close()
+    small = Image.fromarray(np.asarray(image)).resize(size, Image.Resampling.LANCZOS)
+    return np.asarray(small)
+
+
+def _half_height(extent: NDArray[np.float64], rise: float, size: tuple[int, int]) -> float:
+    """Half the height of the view that holds the bounding box turned any way, with a margin."""
+    across = float(np.hypot(extent[0], extent[1])) / np.sqrt(2.0)
+    height = extent[2] * np.cos(rise) + across * np.sin(rise)
+    return 0.515 * max(height, across * size[1] / size[0])
+
+
+def _add_lights(plotter: object, pyvista: object, turn: float) -> None:
+    """A key light from the upper left of the view, a weak fill from the right, one from above."""
+    for angle, height, intensity in ((-0.6, 0.9, 0.75), (0.9, 0.2, 0.35), (0.0, 3.0, 0.25)):
+        position = (5.0 * np.cos(turn + angle), 5.0 * np.sin(turn + angle), 5.0 * height)
+        light = pyvista.Light(
+            position=position, focal_point=(0.0, 0.0, 0.0), intensity=intensity, light_type="scene light"
+        )
+        light.positional = False
+        plotter.add_light(light)
+
+
+@dataclass(frozen=True)
+class PictureRequest:
+    """One picture to render: which damage field, whole or cut, and the PNG to write."""
+
+    damage: NDArray[np.float64]
+    path: Path
+    cut: bool = False
+
+
+def render_pictures(
+    points: NDArray[np.float64],
+    cells: NDArray[np.int64],
+    requests: Sequence[PictureRequest],
+    *,
+    size: tuple[int, int] = (300, 440),
+    timeout: float = 300.0,
+) -> str:
+    """Write the pictures asked for in a child process; return "" or one sentence of what failed.
+
+    Pictures finished before a failure stay.  Never raises for a failure of the graphics libraries.
+    """
+    if not requests:
+        return ""
+    with tempfile.TemporaryDirectory() as folder:
+        job = Path(folder) / "job.npz"
+        fields = {f"damage_{n}": request.damage for n, request in enumerate(requests)}
+        plan = [{"path": str(Path(r.path).resolve()), "cut": r.cut} for r in requests]
+        np.savez(job, points=points, cells=cells, plan=json.dumps([plan, list(size)]), **fields)
+        package_parent = str(Path(__file__).resolve().parent.parent)
+        search_path = os.pathsep.join(filter(None, [package_parent, os.environ.get("PYTHONPATH")]))
+        try:
+            child = subprocess.run(
+                [sys.executable, "-m", "pipeline.pictures", str(job)],
+                env={**os.environ, "PYTHONPATH": search_path},
+                capture_output=True,
+                text=True,
+                timeout=timeout,
+                check=False,
+            )
+        except subprocess.TimeoutExpired:
+            return f"rendering did not finish within {timeout:.0f} s"
+        except OSError as error:
+            return f"rendering could not be started: {error}"
+    if child.returncode == 0:
+        return ""
+    logger.warning("rendering failed:\n%s", child.stderr)
+    lines = [line.strip() for line in child.stderr.splitlines() if line.strip()]
+    reason = lines[-1] if lines else "no message"
+    return f"rendering stopped with exit code {child.returncode}: {reason[:200]}"
+
+
+def write_png(image: NDArray[np.uint8], path: Path, *, colours: int | None = None) -> None:
+    """Write an RGBA picture, with `colours` reduced to a palette (a third of the bytes)."""
+    from PIL import Image
+
+    picture = Image.fromarray(image)
+    if colours:
+        picture = picture.quantize(colours, method=Image.Quantize.FASTOCTREE)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(path.name + ".part")
+    picture.save(part, format="PNG", optimize=True)
+    os.replace(part, path)
+
+
+def _child(job: Path) -> None:
+    """Render everything that one job file asks for."""
+    with np.load(job) as stored:
+        plan, size = json.loads(str(stored["plan"]))
+        points, cells = stored["points"], stored["cells"]
+        for n, entry in enumerate(plan):
+            image = screw_picture(
+                points, cells, stored[f"damage_{n}"], cut=entry["cut"], size=tuple(size)
+            )
+            write_png(image, Path(entry["path"]), colours=256)
+
+
+if __name__ == "__main__":
+    _child(Path(sys.argv[1]))
