@@ -139,3 +139,170 @@ def convolve(u, out, tiles, low, high, reach, source_a, source_b, shell_start, w
     for t in prange(tiles.shape[0]):
         _convolve_tile(u, out, tiles[t, 0], tiles[t, 1], tiles[t, 2], low, high, reach, source_a,
                        source_b, shell_start, weights, shells_used)
+
+
+# --- Vector operations over the rows' ranges of padded fields -------------------------------
+
+
+@njit(cache=True, parallel=True, fastmath=_CONTRACT)
+def next_direction(z, p, weight, q, beta, low, high, reach):
+    """p = z + beta p;  q = weight p."""
+    ra, rb, rc = reach
+    for i in prange(low.shape[0]):
+        for j in range(low.shape[1]):
+            lo, hi = low[i, j] + rc, high[i, j] + rc
+            pr, zr = p[i + ra, j + rb, lo:hi], z[i + ra, j + rb, lo:hi]
+            wr, qr = weight[i + ra, j + rb, lo:hi], q[i + ra, j + rb, lo:hi]
+            for k in range(hi - lo):
+                value = zr[k] + beta * pr[k]
+                pr[k] = value
+                qr[k] = wr[k] * value
+
+
+@njit(cache=True, parallel=True, fastmath=_CONTRACT)
+def diffusion_rows(u, y, weight, diagonal, diffusivity, low, high, reach):
+    """y = weight (diagonal u - diffusivity y); returns u . y per plane."""
+    ra, rb, rc = reach
+    partial = np.zeros(low.shape[0])
+    for i in prange(low.shape[0]):
+        total = 0.0
+        for j in range(low.shape[1]):
+            lo, hi = low[i, j] + rc, high[i, j] + rc
+            ur, yr = u[i + ra, j + rb, lo:hi], y[i + ra, j + rb, lo:hi]
+            wr, dr = weight[i + ra, j + rb, lo:hi], diagonal[i + ra, j + rb, lo:hi]
+            for k in range(hi - lo):
+                value = wr[k] * (dr[k] * ur[k] - diffusivity * yr[k])
+                yr[k] = value
+                total += value * ur[k]
+        partial[i] = total
+    return partial
+
+
+@njit(cache=True, parallel=True, fastmath=_CONTRACT)
+def advance_solution(x, r, p, y, alpha, low, high, reach):
+    """x += alpha p;  r -= alpha y;  returns r . r per plane."""
+    ra, rb, rc = reach
+    partial = np.zeros(low.shape[0])
+    for i in prange(low.shape[0]):
+        total = 0.0
+        for j in range(low.shape[1]):
+            lo, hi = low[i, j] + rc, high[i, j] + rc
+            xr, rr = x[i + ra, j + rb, lo:hi], r[i + ra, j + rb, lo:hi]
+            pr, yr = p[i + ra, j + rb, lo:hi], y[i + ra, j + rb, lo:hi]
+            for k in range(hi - lo):
+                xr[k] += alpha * pr[k]
+                value = rr[k] - alpha * yr[k]
+                rr[k] = value
+                total += value * value
+        partial[i] = total
+    return partial
+
+
+@njit(cache=True, parallel=True, fastmath=_CONTRACT)
+def add_diagonal_and_coarse(r, inverse, coarse, factors, mask, z, low, high, reach):
+    """z = mask (inverse r + coarse correction of the cell's aggregate);  returns r . z per plane.
+
+    factors: cells of the fine lattice per coarse cell along each axis; coarse has one ghost.
+    """
+    ra, rb, rc = reach
+    fa, fb, fc = factors
+    partial = np.zeros(low.shape[0])
+    for i in prange(low.shape[0]):
+        total = 0.0
+        for j in range(low.shape[1]):
+            line = coarse[i // fa + 1, j // fb + 1]
+            for k in range(low[i, j], high[i, j]):
+                kk = k + rc
+                value = inverse[i + ra, j + rb, kk] * r[i + ra, j + rb, kk]
+                value = mask[i + ra, j + rb, kk] * (value + line[k // fc + 1])
+                z[i + ra, j + rb, kk] = value
+                total += value * r[i + ra, j + rb, kk]
+        partial[i] = total
+    return partial
+
+
+# --- Multigrid for the local operator; level arrays carry one ghost cell on each side --------
+
+
+@njit(cache=True, parallel=True)
+def aggregate(fine, margin, factors, coarse):
+    """coarse cell = sum of its factors[0] x factors[1] x factors[2] fine cells."""
+    ma, mb, mc = margin
+    fa, fb, fc = factors
+    na, nb, nc = fine.shape[0] - 2 * ma, fine.shape[1] - 2 * mb, fine.shape[2] - 2 * mc
+    for ci in prange(coarse.shape[0] - 2):
+        for cj in range(coarse.shape[1] - 2):
+            row = coarse[ci + 1, cj + 1]
+            row[:] = 0.0
+            for i in range(ci * fa, min(na, ci * fa + fa)):
+                for j in range(cj * fb, min(nb, cj * fb + fb)):
+                    source = fine[i + ma, j + mb]
+                    for k in range(nc):
+                        row[k // fc + 1] += source[k + mc]
+
+
+@njit(cache=True, parallel=True)
+def prolong_add(coarse, factors, x):
+    """x += the value of the coarse cell that each cell belongs to."""
+    fa, fb, fc = factors
+    for i in prange(x.shape[0] - 2):
+        for j in range(x.shape[1] - 2):
+            line, row = coarse[i // fa + 1, j // fb + 1], x[i + 1, j + 1]
+            for k in range(x.shape[2] - 2):
+                row[k + 1] += line[k // fc + 1]
+
+
+@njit(cache=True, parallel=True, fastmath=_CONTRACT)
+def local_step(x, b, ta, tb, tc, inverse, d, previous, scale):
+    """d = previous d + scale inverse (b - A x), A the seven-point operator of conductances t.
+
+    t*[i]: conductance between a cell and its successor along the axis; inverse: 1 / diagonal of
+    A (0 in empty cells).
+    """
+    for i in prange(1, x.shape[0] - 1):
+        for j in range(1, x.shape[1] - 1):
+            xr, br, dr, vr = x[i, j], b[i, j], d[i, j], inverse[i, j]
+            xa, xb, ya, yb = x[i - 1, j], x[i + 1, j], x[i, j - 1], x[i, j + 1]
+            t1, t2, t3, t4 = ta[i - 1, j], ta[i, j], tb[i, j - 1], tb[i, j]
+            t5 = tc[i, j]
+            for k in range(1, x.shape[2] - 1):
+                near = (
+                    t1[k] * xa[k]
+                    + t2[k] * xb[k]
+                    + t3[k] * ya[k]
+                    + t4[k] * yb[k]
+                    + t5[k - 1] * xr[k - 1]
+                    + t5[k] * xr[k + 1]
+                )
+                dr[k] = previous * dr[k] + scale * ((br[k] + near) * vr[k] - (vr[k] > 0) * xr[k])
+
+
+@njit(cache=True, parallel=True, fastmath=_CONTRACT)
+def local_residual(x, b, ta, tb, tc, diagonal, r):
+    """r = b - A x for the seven-point operator."""
+    for i in prange(1, x.shape[0] - 1):
+        for j in range(1, x.shape[1] - 1):
+            xr, br, rr, dr = x[i, j], b[i, j], r[i, j], diagonal[i, j]
+            xa, xb, ya, yb = x[i - 1, j], x[i + 1, j], x[i, j - 1], x[i, j + 1]
+            t1, t2, t3, t4 = ta[i - 1, j], ta[i, j], tb[i, j - 1], tb[i, j]
+            t5 = tc[i, j]
+            for k in range(1, x.shape[2] - 1):
+                near = (
+                    t1[k] * xa[k]
+                    + t2[k] * xb[k]
+                    + t3[k] * ya[k]
+                    + t4[k] * yb[k]
+                    + t5[k - 1] * xr[k - 1]
+                    + t5[k] * xr[k + 1]
+                )
+                rr[k] = br[k] + near - dr[k] * xr[k]
+
+
+@njit(cache=True, parallel=True)
+def add_to(x, d):
+    """x += d."""
+    for i in prange(x.shape[0]):
+        for j in range(x.shape[1]):
+            xr, dr = x[i, j], d[i, j]
+            for k in range(x.shape[2]):
+                xr[k] += dr[k]
