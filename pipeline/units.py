@@ -99,3 +99,20 @@ def format_bytes(count: float) -> str:
 def format_length(value: float) -> str:
     """Write a length in metres for a reader, in um or mm."""
     return f"{value * 1e6:.4g} um" if value < 1e-3 else f"{value * 1e3:.4g} mm"
+
+
+_LENGTH = re.compile(r"([+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)\s*([a-zA-Z]+)?")
+
+
+def parse_length(text: str, field: str = "length") -> float:
+    """Read a length such as `2mm` or `100um` and return metres.
+
+    Raises ValueError with one sentence when the number or the unit is missing or wrong.
+    """
+    match = _LENGTH.fullmatch(text.strip())
+    if match is None or match.group(2) not in METRES_PER:
+        raise ValueError(
+            f"{field} '{text}' is not understood; give a number and a unit out of "
+            f"{', '.join(METRES_PER)}, for example 2mm or 100um"
+        )
+    return float(match.group(1)) * METRES_PER[match.group(2)]

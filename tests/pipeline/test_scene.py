@@ -24,6 +24,7 @@ from pipeline.scene import (
     pull_hash,
     scene_from_json,
 )
+from pipeline.screw import ScrewParameters
 from pipeline.units import (
     format_bytes,
     format_seconds,
@@ -134,10 +135,6 @@ def test_unknown_missing_and_mistyped_fields_are_named(scene):
         (lambda: LatticeSettings(100e-6, 50e-6), "horizon is 50 um"),
         (lambda: LatticeSettings(10e-6, 200e-6), "horizon is 200 um"),
         (lambda: LatticeSettings(0.0, 200e-6), "lattice spacing is 0.0"),
-        (lambda: ScrewGeometry(slot_width=3e-3), "slot width is 3 mm"),
-        (lambda: ScrewGeometry(diameter=-1.0), "diameter is -1.0"),
-        (lambda: ScrewGeometry(thread="left"), "thread is 'left'"),
-        (lambda: ScrewGeometry(pitch=5e-3), "pitch is 5 mm"),
         (lambda: MeshSettings(1e-4, 2e-4), "fine mesh size is 200 um"),
         (lambda: CorrosionSettings(step=0.0), "corrosion step is 0.0"),
         (lambda: CorrosionSettings(step=1.0, saturation="maybe"), "saturation is 'maybe'"),
@@ -185,7 +182,7 @@ def test_each_stage_depends_on_its_own_numbers_only(scene):
     assert changed(tensile=TensileScene(increment=0.01)) == [False] * 4 + [True] * 2
     assert changed(alloys=(strong, scene.alloys[1])) == [False] * 4 + [True, False]
     assert changed(alloys=(slow, scene.alloys[1])) == [False, True, False, True, True, False]
-    assert changed(geometry=ScrewGeometry(length=5e-3)) == [True] * 6
+    assert changed(geometry=ScrewGeometry(ScrewParameters(length=5e-3))) == [True] * 6
 
 
 def test_a_solid_file_counts_by_content_not_by_place(scene):
