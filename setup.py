@@ -13,7 +13,7 @@ setup(
     ],
     package_dir={"perilife_data": "data"},
     package_data={
-        "perilife_data": ["*/*.toml", "*/*.csv", "*.bib"],
+        "perilife_data": ["*.toml", "*.bib", "*/*.toml", "*/*.csv"],
         "pipeline": ["templates/*"],
     },
 )

@@ -1,4 +1,40 @@
 """Alloys, media and published parameter sets, each number with unit, source and kind.
 
 In a checkout this folder is `data/`; it is imported as `perilife_data`.
+
+>>> import perilife_data
+>>> alloy = perilife_data.load_alloy("Mg-10Gd")
+>>> alloy.young_modulus.si, alloy.young_modulus.source
+(43000000000.0, 'hermann2024')
 """
+
+from .load import (
+    list_alloys,
+    list_media,
+    list_parameter_sets,
+    load_alloy,
+    load_medium,
+    load_parameter_set,
+)
+from .references import Reference, load_reference
+from .schema import KINDS, Alloy, CorrosionParameters, Medium, ParameterSet, Quantity
+from .volume_loss import VolumeLossData, read_volume_loss_csv
+
+__all__ = [
+    "KINDS",
+    "Alloy",
+    "CorrosionParameters",
+    "Medium",
+    "ParameterSet",
+    "Quantity",
+    "Reference",
+    "VolumeLossData",
+    "list_alloys",
+    "list_media",
+    "list_parameter_sets",
+    "load_alloy",
+    "load_medium",
+    "load_parameter_set",
+    "load_reference",
+    "read_volume_loss_csv",
+]

@@ -1,0 +1,322 @@
+"""Reads alloys, media and parameter sets from TOML and refuses whatever is not plainly right.
+
+A quantity is a table with `value`, `unit`, `source`, `where`, `kind` and, where it helps,
+`conditions` and `note`. Every refusal is a ValueError of one sentence: file, field, value, what
+is allowed.
+"""
+
+import re
+import tomllib
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+
+from . import limits
+from .limits import Limits
+from .references import FOLDER, Reference, read_references, shipped_references
+from .schema import (
+    KINDS,
+    Alloy,
+    CalibrationScene,
+    CorrosionParameters,
+    Element,
+    Medium,
+    ParameterSet,
+    Quantity,
+    Species,
+)
+from .units import UNITS
+
+CALIBRATIONS = ("closed", "discrete")
+SATURATIONS = ("as_published", "complementarity", "none")
+BOUNDARIES = ("refreshed", "no_flux")
+DOMAINS = ("cylinder",)
+
+
+class _Table:
+    """One TOML table: hands out its entries by name, checked, and refuses what is left over."""
+
+    def __init__(self, name: str, entries: object, file: str, sources: Mapping[str, Reference]):
+        self.name, self.file, self.sources = name, file, sources
+        if not isinstance(entries, dict):
+            raise ValueError(f"{file}: {name} is {entries!r}; it must be a table")
+        self.entries = dict(entries)
+
+    def _field(self, key: str) -> str:
+        return f"{self.name}.{key}" if self.name else key
+
+    def fail(self, key: str, what: str) -> ValueError:
+        """Return the error that says what is wrong with an entry."""
+        return ValueError(f"{self.file}: {self._field(key)} {what}")
+
+    def _take(self, key: str) -> object:
+        if key not in self.entries:
+            raise self.fail(key, "is missing")
+        return self.entries.pop(key)
+
+    def text(self, key: str, default: str | None = None, allowed: tuple[str, ...] = ()) -> str:
+        """Return a string, one of `allowed` where that is given."""
+        if default is not None and key not in self.entries:
+            return default
+        value = self._take(key)
+        if not isinstance(value, str) or not (value.strip() or default == ""):
+            raise self.fail(key, f"is {value!r}; it must be a text in quotes")
+        if allowed and value not in allowed:
+            raise self.fail(key, f"is '{value}'; it must be one of {', '.join(allowed)}")
+        return value
+
+    def table(self, key: str) -> "_Table":
+        """Return an inner table."""
+        return _Table(self._field(key), self._take(key), self.file, self.sources)
+
+    def tables(self, key: str) -> dict[str, "_Table"]:
+        """Return the tables inside an inner table, by name; there must be one at least."""
+        outer = self.table(key)
+        if not outer.entries:
+            raise self.fail(key, "is empty; it must hold one entry at least")
+        return {name: outer.table(name) for name in list(outer.entries)}
+
+    def quantity(self, key: str, allowed: Limits) -> Quantity:
+        """Return a quantity of the right dimension, within its range and with a known source."""
+        return self.table(key).as_quantity(allowed)
+
+    def as_quantity(self, allowed: Limits) -> Quantity:
+        """Read this table itself as a quantity."""
+        value = self._take("value")
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self.fail("value", f"is {value!r}; it must be a number without quotes")
+        unit = self.text("unit")
+        known = UNITS[allowed.dimension]
+        if unit not in known:
+            raise self.fail(
+                "unit",
+                f"is '{unit}'; a unit of {allowed.dimension} is needed, one of {', '.join(known)}",
+            )
+        source = self.text("source")
+        if source not in self.sources:
+            raise self.fail("source", f"is '{source}', which is not a key of references.bib")
+        quantity = Quantity(
+            value=float(value),
+            unit=unit,
+            dimension=allowed.dimension,
+            source=source,
+            where=self.text("where"),
+            kind=self.text("kind", allowed=tuple(KINDS)),
+            conditions=self.text("conditions", default=""),
+            note=self.text("note", default=""),
+        )
+        self.done()
+        if not allowed.hold(quantity.si):
+            si_unit = next(iter(known))
+            unit_text = "" if si_unit == "1" else f" {si_unit}"
+            raise ValueError(
+                f"{self.file}: {self.name} is {quantity}; it must be {allowed}{unit_text}"
+            )
+        return quantity
+
+    def quantities(self, needed: dict[str, Limits], optional: dict[str, Limits] | None = None):
+        """Return the quantities by name; the optional ones only where they are given."""
+        given = {k: v for k, v in (optional or {}).items() if k in self.entries}
+        return {key: self.quantity(key, allowed) for key, allowed in {**needed, **given}.items()}
+
+    def done(self) -> None:
+        """Refuse what nobody has taken."""
+        if self.entries:
+            raise self.fail(sorted(self.entries)[0], "is not a known key")
+
+
+def _read(path: Path) -> _Table:
+    try:
+        with path.open("rb") as file:
+            entries = tomllib.load(file)
+    except FileNotFoundError:
+        raise FileNotFoundError(f"{path}: there is no such file") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: not a valid TOML file: {error}") from None
+    sources = shipped_references()
+    beside = path.parent / "references.bib"
+    if FOLDER not in path.resolve().parents and beside.exists():
+        sources = {**sources, **read_references(beside)}
+    return _Table("", entries, path.name, sources)
+
+
+def _natural(text: str) -> list:
+    return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", text)]
+
+
+@cache
+def _shipped(folder: str) -> dict[str, Path]:
+    """Return the shipped files of a folder by the name that each gives itself."""
+    found = {_read(path).text("name"): path for path in (FOLDER / folder).glob("*.toml")}
+    return {name: found[name] for name in sorted(found, key=_natural)}
+
+
+def _path_of(folder: str, what: str, name: str | Path) -> Path:
+    if isinstance(name, Path) or name.endswith(".toml"):
+        return Path(name)
+    if name not in _shipped(folder):
+        raise ValueError(f"{what} '{name}' is unknown; known are {', '.join(_shipped(folder))}")
+    return _shipped(folder)[name]
+
+
+def list_alloys() -> list[str]:
+    """Return the names of the shipped alloys."""
+    return list(_shipped("alloys"))
+
+
+def list_media() -> list[str]:
+    """Return the names of the shipped media."""
+    return list(_shipped("media"))
+
+
+def list_parameter_sets() -> list[str]:
+    """Return the names of the shipped parameter sets."""
+    return list(_shipped("parameter_sets"))
+
+
+@cache
+def load_elements() -> Mapping[str, Element]:
+    """Return the elements that alloys may be made of, by symbol."""
+    file = _read(FOLDER / "elements.toml")
+    elements = {}
+    for symbol in list(file.entries):
+        table = file.table(symbol)
+        elements[symbol] = Element(symbol, **table.quantities(limits.ELEMENT))
+        table.done()
+    return elements
+
+
+def load_alloy(name: str | Path) -> Alloy:
+    """Return an alloy by its name, or from a .toml file of one's own.
+
+    A file of one's own may name the shipped sources and those of a references.bib beside it.
+    Raises ValueError for an unknown name (naming the known ones) or whatever is wrong in the
+    file, FileNotFoundError where there is no such file.
+    """
+    file = _read(_path_of("alloys", "alloy", name))
+    elements = load_elements()
+    dissolving = file.text("dissolving_element", allowed=tuple(elements))
+    given: dict[str, Quantity] = {}
+    for symbol, table in file.tables("mass_fractions").items():
+        if symbol not in elements:
+            raise ValueError(
+                f"{file.file}: mass_fractions.{symbol} is no element of elements.toml; "
+                f"known are {', '.join(elements)}"
+            )
+        given[symbol] = table.as_quantity(limits.MASS_FRACTION)
+    fractions = _with_balance(file, dissolving, given)
+    density = _mixture_density(fractions, elements)
+    molar_mass = elements[dissolving].molar_mass
+    alloy = Alloy(
+        name=file.text("name"),
+        title=file.text("title"),
+        dissolving_element=dissolving,
+        mass_fractions=fractions,
+        elements={symbol: elements[symbol] for symbol in fractions},
+        density=density,
+        solid_concentration=Quantity(
+            value=fractions[dissolving].si * density.si / molar_mass.si,
+            unit="mol/m^3",
+            dimension="concentration",
+            source="",
+            where=f"mass fraction of {dissolving} times density over molar mass of {dissolving}",
+            kind="derived",
+        ),
+        **file.quantities(limits.ALLOY, limits.ALLOY_OPTIONAL),
+    )
+    file.done()
+    if alloy.ultimate_tensile_strength.si <= alloy.yield_stress.si:
+        raise file.fail(
+            "ultimate_tensile_strength",
+            f"is {alloy.ultimate_tensile_strength}; it must be above the yield_stress, "
+            f"{alloy.yield_stress}",
+        )
+    return alloy
+
+
+def _with_balance(file: _Table, dissolving: str, given: dict[str, Quantity]) -> dict[str, Quantity]:
+    if dissolving in given:
+        raise ValueError(
+            f"{file.file}: mass_fractions.{dissolving} must not be given; "
+            "the dissolving element is the balance"
+        )
+    rest = 1.0 - sum(fraction.si for fraction in given.values())
+    if not rest > 0:
+        raise file.fail("mass_fractions", f"sum to {1 - rest:g}; they must sum to less than 1")
+    balance = Quantity(
+        rest, "1", "dimensionless", "", "1 less the other mass fractions", "derived"
+    )
+    return {dissolving: balance, **given}
+
+
+def _mixture_density(
+    fractions: Mapping[str, Quantity], elements: Mapping[str, Element]
+) -> Quantity:
+    """1/rho = sum_k w_k / rho_k: the volumes of the elements add up, no mixing volume."""
+    specific_volume = sum(w.si / elements[symbol].density.si for symbol, w in fractions.items())
+    return Quantity(
+        value=1.0 / specific_volume,
+        unit="kg/m^3",
+        dimension="density",
+        source="",
+        where="1/rho = sum_k w_k/rho_k over the elements",
+        kind="derived",
+        conditions="volumes of the elements add up",
+    )
+
+
+def load_medium(name: str | Path) -> Medium:
+    """Return a medium by its name, or from a .toml file of one's own. Raises as load_alloy."""
+    file = _read(_path_of("media", "medium", name))
+    species = {}
+    for symbol, table in (file.tables("species") if "species" in file.entries else {}).items():
+        species[symbol] = Species(**table.quantities(limits.SPECIES))
+        table.done()
+    medium = Medium(
+        name=file.text("name"),
+        title=file.text("title"),
+        species=species,
+        note=file.text("note", default=""),
+        **file.quantities(limits.MEDIUM, limits.MEDIUM_OPTIONAL),
+    )
+    file.done()
+    return medium
+
+
+def load_parameter_set(name: str | Path) -> ParameterSet:
+    """Return a parameter set by its name, or from a .toml file of one's own.
+
+    Raises as load_alloy.
+    """
+    file = _read(_path_of("parameter_sets", "parameter set", name))
+    table = file.table("scene")
+    scene = CalibrationScene(
+        solid=table.text("solid"),
+        domain=table.text("domain", allowed=DOMAINS),
+        calibration=table.text("calibration", allowed=CALIBRATIONS),
+        saturation=table.text("saturation", allowed=SATURATIONS),
+        boundary=table.text("boundary", allowed=BOUNDARIES),
+        **table.quantities(limits.CALIBRATION_SCENE, limits.CALIBRATION_SCENE_OPTIONAL),
+    )
+    table.done()
+    alloys = {}
+    for alloy, table in file.tables("alloys").items():
+        parameters = CorrosionParameters(**table.quantities(limits.CORROSION_PARAMETERS))
+        table.done()
+        if parameters.saturation_concentration.si >= parameters.solid_concentration.si:
+            raise table.fail(
+                "saturation_concentration",
+                f"is {parameters.saturation_concentration}; it must be below the "
+                f"solid_concentration, {parameters.solid_concentration}",
+            )
+        alloys[alloy] = parameters
+    loaded = ParameterSet(
+        name=file.text("name"),
+        title=file.text("title"),
+        medium=file.text("medium", allowed=tuple(list_media())),
+        scene=scene,
+        alloys=alloys,
+        note=file.text("note", default=""),
+    )
+    file.done()
+    return loaded

@@ -1,0 +1,34 @@
+"""Units that data files may use, by physical dimension, with their factor to SI.
+
+The table is explicit so that a reader sees what is accepted and a file cannot pass a pressure
+where a length belongs. It holds what materials data of this field are printed in; a new unit is
+one line.
+"""
+
+UNITS: dict[str, dict[str, float]] = {
+    "dimensionless": {"1": 1.0, "%": 1e-2},
+    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6},
+    "time": {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "w": 604800.0},
+    "pressure": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9},
+    "density": {"kg/m^3": 1.0, "g/cm^3": 1e3},
+    "molar mass": {"kg/mol": 1.0, "g/mol": 1e-3},
+    "concentration": {"mol/m^3": 1.0, "mmol/L": 1.0, "mol/L": 1e3},
+    "diffusivity": {"m^2/s": 1.0, "cm^2/s": 1e-4, "mm^2/s": 1e-6},
+    "temperature": {"K": 1.0, "degC": 1.0},
+}
+"""Dimension -> unit -> factor to the SI unit, which is the first of each row."""
+
+OFFSETS: dict[str, float] = {"degC": 273.15}
+"""What is added to the SI value, for the units whose zero is not SI's."""
+
+
+def to_si(value: float, unit: str, dimension: str) -> float:
+    """Return `value` (in `unit`, of the given dimension) in SI.
+
+    Raises ValueError when the unit does not belong to the dimension.
+    """
+    if unit not in UNITS[dimension]:
+        raise ValueError(
+            f"unit '{unit}' is not a unit of {dimension}; allowed are {', '.join(UNITS[dimension])}"
+        )
+    return value * UNITS[dimension][unit] + OFFSETS.get(unit, 0.0)
