@@ -1,0 +1,201 @@
+"""The house rules on imports and output, read from the sources of all packages.
+
+peri, fem and data (imported as perilife_data) know nothing of one another; only pipeline joins
+them. dolfinx stays in fem, gmsh in pipeline/geometry.py, and libraries neither print nor touch
+the root logger.
+"""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+FOLDERS = {"peri": "peri", "fem": "fem", "pipeline": "pipeline", "data": "perilife_data"}
+"""Folder in the checkout -> name under which it is imported."""
+
+DOLFINX = {"dolfinx", "ufl", "basix", "ffcx"}
+PARALLEL = {"petsc4py", "slepc4py", "mpi4py"}
+LIBRARIES = ("peri", "fem", "data")
+THIRD_PARTY = {
+    "peri": {"numpy", "scipy", "numba", "h5py"},
+    "fem": {"numpy", "scipy", "numba", "h5py"} | DOLFINX | PARALLEL,
+    "data": {"numpy"},
+}
+"""What the libraries may import besides the standard library and themselves."""
+
+MORE_ALLOWED = {"peri/petsc_backend.py": PARALLEL}
+"""The one file of peri that reaches PETSc."""
+
+STANDARD_LIBRARY = frozenset(__import__("sys").stdlib_module_names)
+
+
+def sources(root: Path, folder: str) -> Iterator[tuple[str, ast.Module]]:
+    """Yield the path below root and the syntax tree of every Python file of a folder."""
+    for path in sorted((root / folder).rglob("*.py")):
+        yield path.relative_to(root).as_posix(), ast.parse(path.read_text(encoding="utf-8"))
+
+
+def module_name(path: str) -> str:
+    """Return the import name of a file, such as peri.corrosion.kinetics or perilife_data."""
+    folder, *rest = Path(path).with_suffix("").parts
+    return ".".join([FOLDERS[folder], *(part for part in rest if part != "__init__")])
+
+
+def imported_modules(path: str, tree: ast.Module) -> set[str]:
+    """Return the absolute names of all modules a file imports, wherever the import stands.
+
+    `from a import b` counts as a and as a.b, because b may be a module.
+    """
+    package = module_name(path).split(".")
+    if Path(path).name != "__init__.py":
+        package = package[:-1]
+    found: set[str] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else []
+            module = ".".join([*base, *([node.module] if node.module else [])])
+            found |= {module} | {f"{module}.{alias.name}" for alias in node.names}
+    return found
+
+
+def foreign_imports(root: Path) -> list[str]:
+    """Return what a library imports beyond the standard library, itself and its allowed list."""
+    found = []
+    for folder in LIBRARIES:
+        for path, tree in sources(root, folder):
+            allowed = THIRD_PARTY[folder] | MORE_ALLOWED.get(path, set()) | {FOLDERS[folder]}
+            if path.startswith("fem/constitutive/"):
+                allowed = allowed - DOLFINX - PARALLEL  # testable without any of them
+            tops = {name.split(".")[0] for name in imported_modules(path, tree)}
+            found += [f"{path}: {top}" for top in sorted(tops - allowed - STANDARD_LIBRARY)]
+    return found
+
+
+def misplaced_imports(root: Path) -> list[str]:
+    """Return imports of dolfinx outside fem and of gmsh outside pipeline/geometry.py."""
+    found = []
+    for folder in FOLDERS:
+        for path, tree in sources(root, folder):
+            tops = {name.split(".")[0] for name in imported_modules(path, tree)}
+            if folder != "fem":
+                found += [f"{path}: {top}" for top in sorted(tops & DOLFINX)]
+            if path != "pipeline/geometry.py" and "gmsh" in tops:
+                found.append(f"{path}: gmsh")
+    return found
+
+
+def import_cycles(root: Path, folder: str) -> list[str]:
+    """Return the modules of a package that, directly or through others, import themselves."""
+    trees = {module_name(path): (path, tree) for path, tree in sources(root, folder)}
+    package = FOLDERS[folder]
+    direct = {
+        name: (imported_modules(path, tree) & trees.keys()) - {package, name}
+        for name, (path, tree) in trees.items()
+        if name != package
+    }
+    cyclic = []
+    for start in direct:
+        seen: set[str] = set()
+        stack = list(direct[start])
+        while stack:
+            module = stack.pop()
+            if module not in seen:
+                seen.add(module)
+                stack += direct.get(module, ())
+        if start in seen:
+            cyclic.append(start)
+    return cyclic
+
+
+def talking_libraries(root: Path) -> list[str]:
+    """Return where a library prints or uses the root logger instead of its own."""
+    root_logger = {"debug", "info", "warning", "error", "critical", "basicConfig"}
+    found = []
+    for folder in LIBRARIES:
+        for path, tree in sources(root, folder):
+            for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
+                name = ast.unparse(call.func)
+                own = name == "logging.getLogger" and call.args
+                if name == "print" or (name == "logging.getLogger" and not own):
+                    found.append(f"{path}:{call.lineno}: {name}")
+                if name.startswith("logging.") and name.split(".")[1] in root_logger:
+                    found.append(f"{path}:{call.lineno}: {name}")
+    return found
+
+
+def pickles(root: Path) -> list[str]:
+    """Return the files that import pickle or one of its relatives."""
+    relatives = {"pickle", "dill", "joblib", "shelve", "marshal"}
+    return [
+        path
+        for folder in FOLDERS
+        for path, tree in sources(root, folder)
+        if relatives & {name.split(".")[0] for name in imported_modules(path, tree)}
+    ]
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_every_package_has_sources(folder: str) -> None:
+    assert len(list(sources(ROOT, folder))) >= 3
+
+
+def test_libraries_import_only_what_is_theirs() -> None:
+    assert foreign_imports(ROOT) == []
+
+
+def test_dolfinx_only_in_fem_and_gmsh_only_in_geometry() -> None:
+    assert misplaced_imports(ROOT) == []
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_no_module_imports_itself_in_a_circle(folder: str) -> None:
+    assert import_cycles(ROOT, folder) == []
+
+
+def test_libraries_neither_print_nor_use_the_root_logger() -> None:
+    assert talking_libraries(ROOT) == []
+
+
+def test_no_pickles() -> None:
+    assert pickles(ROOT) == []
+
+
+BROKEN = {
+    "peri/__init__.py": "",
+    "peri/a.py": "from fem import tensile_test\nprint('loud')\n",
+    "peri/petsc_backend.py": "from petsc4py import PETSc\n",
+    "peri/b.py": "def late():\n    from . import c\n",
+    "peri/c.py": "from .b import late\nimport logging\nlogging.info('root')\n",
+    "fem/constitutive/d.py": "import dolfinx\nimport logging\nlogging.getLogger()\n",
+    "pipeline/e.py": "import gmsh, ufl, fem, peri\nimport pickle\n",
+    "pipeline/geometry.py": "import gmsh\n",
+    "data/f.py": "from perilife_data.units import to_si\nfrom peri.constants import F\n",
+}
+
+
+@pytest.mark.parametrize(
+    ("rule", "expected"),
+    [
+        (foreign_imports, ["peri/a.py: fem", "fem/constitutive/d.py: dolfinx", "data/f.py: peri"]),
+        (misplaced_imports, ["pipeline/e.py: ufl", "pipeline/e.py: gmsh"]),
+        (lambda root: import_cycles(root, "peri"), ["peri.b", "peri.c"]),
+        (
+            talking_libraries,
+            [
+                "peri/a.py:2: print",
+                "peri/c.py:3: logging.info",
+                "fem/constitutive/d.py:3: logging.getLogger",
+            ],
+        ),
+        (pickles, ["pipeline/e.py"]),
+    ],
+)
+def test_each_rule_finds_what_breaks_it(rule, expected: list[str], tmp_path: Path) -> None:
+    for path, text in BROKEN.items():
+        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / path).write_text(text, encoding="utf-8")
+    assert rule(tmp_path) == expected
