@@ -1,0 +1,8 @@
+"""Finite-strain damage plasticity and the tensile test (MODEL.md 6-7).
+
+The package needs NumPy and Numba for the material, PETSc and dolfinx for the solution; it knows
+nothing of corrosion or of geometry. Give it a tetrahedral mesh, a damage field at the quadrature
+points and a material, and it returns the force-elongation curve:
+
+>>> from fem.tensile_test import TensileSettings, tensile_test
+"""

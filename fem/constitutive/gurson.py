@@ -1,0 +1,259 @@
+"""Return mapping of the porous yield function in two scalars.
+
+Yield (5.40), with q2 and q3 of Tvergaard for generality (published: q2 = 1, q3 = q1^2), written in
+the Kirchhoff stress tau = J sigma by S = J s_y, which is the same function:
+
+    Phi = (tau_eq / S)^2 + 2 q1 f* cosh(q2 tr tau / (2 S)) - (1 + q3 f*^2)
+
+Associated flow. The unknowns are a, the plastic volume strain of the step, and beta, the factor
+by which the trial deviator shrinks; all else follows from them:
+
+    p = K (ev - a)     q = beta q_trial     de_q = (1 - beta) q_trial / (3 G)     h = 3 q2 p / (2 S)
+    R1 = a beta - q1 q2 f* S / (2 G) (1 - beta) sinh h = 0                        (flow direction)
+    R2 = (q/S)^2 + 4 q1 f* sinh^2(h/2) - (1 - 2 q1 f* + q3 f*^2) = 0              (yield)
+
+f = 1 - (1 - f_n) exp(-a) integrates (5.42) exactly; strain-controlled nucleation (off by default)
+adds f_N times the increment of a normal distribution in plastic strain. The plastic strain grows by
+sqrt(2/3 d^p : d^p) = sqrt(de_q^2 + 2/9 a^2), as (5.39). J2 is f = 0 in the same equations.
+f stays at most at `limit`, where the strength is RESIDUAL_STRENGTH of the intact one.
+"""
+
+from __future__ import annotations
+
+from math import erf
+
+import numpy as np
+from numba import njit
+
+from fem.constitutive.hardening import flow_stress
+
+# indices of the parameter vector of the kernels
+BULK, SHEAR, Q1, Q2, Q3, NUCLEATED, NUCLEATION_MEAN, NUCLEATION_DEVIATION = range(8)
+COALESCENCE, ACCELERATION, LIMIT, PARAMETERS = 8, 9, 10, 11
+RESIDUAL_STRENGTH = 1e-3
+_MAX_ARGUMENT = 200.0
+_NEWTON_ITERATIONS = 25
+_BISECTIONS = 200
+
+
+@njit(cache=True, nogil=True)
+def effective_damage(damage: float, material: np.ndarray) -> tuple[float, float]:
+    """Return f*(f) and its slope: f up to coalescence, faster after it."""
+    onset = material[COALESCENCE]
+    if damage <= onset:
+        return damage, 1.0
+    return onset + material[ACCELERATION] * (damage - onset), material[ACCELERATION]
+
+
+@njit(cache=True, nogil=True)
+def yield_function(
+    mises: float, pressure: float, flow: float, damage: float, material: np.ndarray
+) -> float:
+    """Phi of (5.40) for equivalent stress, mean stress, yield stress and f; no cancellation."""
+    effective, _ = effective_damage(damage, material)
+    half = 0.75 * material[Q2] * pressure / flow
+    half = min(max(half, -0.5 * _MAX_ARGUMENT), 0.5 * _MAX_ARGUMENT)
+    strength = 1.0 - 2.0 * material[Q1] * effective + material[Q3] * effective**2
+    return (mises / flow) ** 2 + 4.0 * material[Q1] * effective * np.sinh(half) ** 2 - strength
+
+
+@njit(cache=True, nogil=True)
+def _system(a, beta, volume, mises, jacobian, strain, damage, material, kind, hardening):
+    """Residuals, their derivatives by (a, beta, volume, mises), new plastic strain and f."""
+    shear, q1, q2 = material[SHEAR], material[Q1], material[Q2]
+    deviatoric = (1.0 - beta) * mises / (3.0 * shear)
+    step = np.sqrt(deviatoric**2 + 2.0 / 9.0 * a * a)
+    e_a, e_d = 0.0, 0.0
+    if step > 0.0:
+        e_a, e_d = 2.0 / 9.0 * a / step, deviatoric / step
+    e_b, e_q = -e_d * mises / (3.0 * shear), e_d * (1.0 - beta) / (3.0 * shear)
+    flow, slope = flow_stress(kind, hardening, strain + step)
+    flow *= jacobian
+    slope *= jacobian
+    s_a, s_b, s_q = slope * e_a, slope * e_b, slope * e_q
+
+    remaining = (1.0 - damage) * np.exp(-a)
+    f, f_a, f_b, f_q = 1.0 - remaining, remaining, 0.0, 0.0
+    if a == 0.0:
+        f = damage
+    if material[NUCLEATED] > 0.0:
+        width = material[NUCLEATION_DEVIATION] * np.sqrt(2.0)
+        old = (strain - material[NUCLEATION_MEAN]) / width
+        new = (strain + step - material[NUCLEATION_MEAN]) / width
+        f += 0.5 * material[NUCLEATED] * (erf(new) - erf(old))
+        rate = material[NUCLEATED] * np.exp(-new * new) / (width * np.sqrt(np.pi))
+        f_a, f_b, f_q = f_a + rate * e_a, rate * e_b, rate * e_q
+    if f >= material[LIMIT]:
+        f, f_a, f_b, f_q = material[LIMIT], 0.0, 0.0, 0.0
+    elif f < 0.0:
+        f, f_a, f_b, f_q = 0.0, 0.0, 0.0, 0.0
+    g, g_f = effective_damage(f, material)
+    g_a, g_b, g_q = g_f * f_a, g_f * f_b, g_f * f_q
+
+    bulk = material[BULK]
+    h = 1.5 * q2 * bulk * (volume - a) / flow
+    h = min(max(h, -_MAX_ARGUMENT), _MAX_ARGUMENT)
+    h_a = -1.5 * q2 * bulk / flow - h * s_a / flow
+    h_b, h_q = -h * s_b / flow, -h * s_q / flow
+    h_v = 1.5 * q2 * bulk / flow - h
+    half, cosh_half = np.sinh(0.5 * h), np.cosh(0.5 * h)
+    sinh, cosh = 2.0 * half * cosh_half, 1.0 + 2.0 * half * half
+
+    factor = 0.5 * q1 * q2 / shear
+    keep = 1.0 - beta
+    drive = g * flow * sinh
+    d_a = g_a * flow * sinh + g * s_a * sinh + g * flow * cosh * h_a
+    d_b = g_b * flow * sinh + g * s_b * sinh + g * flow * cosh * h_b
+    d_q = g_q * flow * sinh + g * s_q * sinh + g * flow * cosh * h_q
+    d_v = drive + g * flow * cosh * h_v
+    r1 = a * beta - factor * keep * drive
+    r1_a = beta - factor * keep * d_a
+    r1_b = a + factor * drive - factor * keep * d_b
+    r1_v, r1_q = -factor * keep * d_v, -factor * keep * d_q
+
+    ratio = beta * mises / flow
+    strength = 1.0 - 2.0 * q1 * g + material[Q3] * g * g
+    by_g = 4.0 * q1 * half * half + 2.0 * q1 - 2.0 * material[Q3] * g
+    by_h = 2.0 * q1 * g * sinh
+    r2 = ratio**2 + 4.0 * q1 * g * half * half - strength
+    r2_a = -2.0 * ratio**2 * s_a / flow + by_g * g_a + by_h * h_a
+    r2_b = 2.0 * ratio * (mises - ratio * s_b) / flow + by_g * g_b + by_h * h_b
+    r2_v = -2.0 * ratio**2 + by_h * h_v
+    r2_q = 2.0 * ratio * (beta - ratio * s_q) / flow + by_g * g_q + by_h * h_q
+    scale1 = abs(a * beta) + abs(factor * keep * drive)
+    return (
+        (r1, r1_a, r1_b, r1_v, r1_q),
+        (r2, r2_a, r2_b, r2_v, r2_q),
+        (strain + step, f, flow, scale1, strength),
+    )
+
+
+@njit(cache=True, nogil=True)
+def _bracketed(volume, mises, jacobian, strain, damage, material, kind, hardening):
+    """Solve by nested bisection: beta from R2 at given a, a from R1. Never leaves the range."""
+    if volume >= 0.0:
+        near, far = 0.0, volume
+    else:
+        near, far = 0.0, max(volume, np.log1p(-damage))
+    a, beta = 0.0, 1.0
+    for _ in range(_BISECTIONS):
+        a = 0.5 * (near + far)
+        low, high = 0.0, 1.0
+        _, at_low, _ = _system(
+            a, low, volume, mises, jacobian, strain, damage, material, kind, hardening
+        )
+        _, at_high, _ = _system(
+            a, high, volume, mises, jacobian, strain, damage, material, kind, hardening
+        )
+        if at_low[0] > 0.0:
+            near, beta = a, 0.0
+        elif at_high[0] < 0.0:
+            far, beta = a, 1.0
+        else:
+            for _ in range(_BISECTIONS):
+                beta = 0.5 * (low + high)
+                _, value, _ = _system(
+                    a, beta, volume, mises, jacobian, strain, damage, material, kind, hardening
+                )
+                if value[0] > 0.0:
+                    high = beta
+                else:
+                    low = beta
+                if high - low <= 1e-15 * high:
+                    break
+            flow, _, _ = _system(
+                a, beta, volume, mises, jacobian, strain, damage, material, kind, hardening
+            )
+            if (flow[0] > 0.0) == (volume >= 0.0):
+                far = a
+            else:
+                near = a
+        if abs(far - near) <= 1e-15 * abs(far):
+            break
+    return a, beta
+
+
+@njit(cache=True, nogil=True)
+def _start(volume, mises, jacobian, strain, damage, material, kind, hardening):
+    """First guess: no volume change if the trial pressure allows it, else radial shrinkage."""
+    flow, _ = flow_stress(kind, hardening, strain)
+    flow *= jacobian
+    g, _ = effective_damage(damage, material)
+    strength = 1.0 - 2.0 * material[Q1] * g + material[Q3] * g * g
+    h = min(max(1.5 * material[Q2] * material[BULK] * volume / flow, -100.0), 100.0)
+    left = strength - 4.0 * material[Q1] * g * np.sinh(0.5 * h) ** 2
+    if left > 0.05 * strength and mises > 0.0:
+        return 0.0, min(1.0, np.sqrt(left) * flow / mises)
+    k = 1.0
+    for _ in range(60):
+        half = np.sinh(0.5 * k * h)
+        value = (k * mises / flow) ** 2 + 4.0 * material[Q1] * g * half * half - strength
+        slope = 2.0 * k * (mises / flow) ** 2 + 2.0 * material[Q1] * g * h * np.sinh(k * h)
+        if slope <= 0.0 or value <= 1e-3 * strength:
+            break
+        k = max(k - value / slope, 0.05 * k)
+    return (1.0 - k) * volume, k
+
+
+@njit(cache=True, nogil=True)
+def return_map(volume, mises, jacobian, strain, damage, material, kind, hardening):
+    """Return the plastic step from an elastic trial state.
+
+    volume: trial elastic volume strain; mises: trial equivalent Kirchhoff stress [Pa]; jacobian:
+    det F; strain, damage: plastic strain and f at the start of the step; material: parameter
+    vector; kind, hardening: the hardening law.
+
+    Returns (a, beta, strain, f, flow, a_v, b_v, a_q, b_q): the solution, the new state, S, and
+    the derivatives of a and beta by `volume` and `mises`. An elastic step gives a = 0, beta = 1
+    and zero derivatives. The derivative by volume includes that of J, since d ln J = d volume.
+    """
+    flow, _ = flow_stress(kind, hardening, strain)
+    flow *= jacobian
+    g, _ = effective_damage(damage, material)
+    strength = 1.0 - 2.0 * material[Q1] * g + material[Q3] * g * g
+    trial = yield_function(mises, material[BULK] * volume, flow, damage, material)
+    if trial <= 1e-10 * strength:
+        return 0.0, 1.0, strain, damage, flow, 0.0, 0.0, 0.0, 0.0
+    low, high = min(volume, 0.0), max(volume, 0.0)
+    if volume < 0.0:
+        low = max(low, np.log1p(-damage))
+    a, beta = _start(volume, mises, jacobian, strain, damage, material, kind, hardening)
+    converged = False
+    first, second, state = _system(
+        a, beta, volume, mises, jacobian, strain, damage, material, kind, hardening
+    )
+    for _ in range(_NEWTON_ITERATIONS):
+        if abs(first[0]) <= 1e-10 * state[3] + 1e-22 and abs(second[0]) <= 1e-11 * state[4]:
+            converged = True
+            break
+        determinant = first[1] * second[2] - first[2] * second[1]
+        if not determinant != 0.0 or not np.isfinite(determinant):
+            break
+        step_a = -(first[0] * second[2] - first[2] * second[0]) / determinant
+        step_b = -(first[1] * second[0] - first[0] * second[1]) / determinant
+        new_a, new_b = a + step_a, beta + step_b
+        if new_a < low:
+            new_a = 0.5 * (a + low) if a > low else low
+        elif new_a > high:
+            new_a = 0.5 * (a + high) if a < high else high
+        if new_b <= 0.0:
+            new_b = 0.2 * beta
+        elif new_b > 1.0:
+            new_b = 0.5 * (beta + 1.0)
+        a, beta = new_a, new_b
+        first, second, state = _system(
+            a, beta, volume, mises, jacobian, strain, damage, material, kind, hardening
+        )
+    if not converged:
+        a, beta = _bracketed(volume, mises, jacobian, strain, damage, material, kind, hardening)
+        first, second, state = _system(
+            a, beta, volume, mises, jacobian, strain, damage, material, kind, hardening
+        )
+    determinant = first[1] * second[2] - first[2] * second[1]
+    a_v = b_v = a_q = b_q = 0.0
+    if determinant != 0.0 and np.isfinite(determinant):
+        a_v = -(first[3] * second[2] - first[2] * second[3]) / determinant
+        b_v = -(first[1] * second[3] - first[3] * second[1]) / determinant
+        a_q = -(first[4] * second[2] - first[2] * second[4]) / determinant
+        b_q = -(first[1] * second[4] - first[4] * second[1]) / determinant
+    return a, beta, state[0], state[1], state[2], a_v, b_v, a_q, b_q

@@ -1,0 +1,257 @@
+"""The material: parameters for the reader, and its update at one quadrature point.
+
+Multiplicative split F = Fe Fp, Hencky's law tau = K tr(eps) 1 + 2 G dev(eps) in the elastic
+logarithmic strain, porous plasticity by `gurson.return_map` in principal axes. The internal variable
+of the flow is Cp^-1 (six numbers), so that no earlier F is needed:  b_trial = F Cp^-1 F^T.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from fem.constitutive.gurson import (
+    ACCELERATION,
+    BULK,
+    COALESCENCE,
+    LIMIT,
+    NUCLEATED,
+    NUCLEATION_DEVIATION,
+    NUCLEATION_MEAN,
+    PARAMETERS,
+    Q1,
+    Q2,
+    Q3,
+    RESIDUAL_STRENGTH,
+    SHEAR,
+    return_map,
+)
+from fem.constitutive.hardening import Hardening, VoceHardening, flow_stress
+from fem.constitutive.hencky import eigen_symmetric, invert, push_forward, spatial_tangent
+
+
+def _require(condition: bool, field: str, value: object, allowed: str) -> None:
+    if not condition:
+        raise ValueError(f"material {field} is {value}; it must be {allowed}")
+
+
+@dataclass(frozen=True)
+class Material:
+    """Elastic constants, hardening and porous yield function (5.40).
+
+    young [Pa], poisson in (-1, 0.5), hardening (see `hardening`), q1 > 0 (published 1.5), q2.
+    Options beyond the source, off by default: nucleation of f by plastic strain (Chu and Needleman;
+    volume fraction, mean and standard deviation of the strain) and coalescence (Tvergaard and
+    Needleman: from f = `coalescence` on, f grows in the yield function such that the metal fails at
+    f = `failure`).
+    """
+
+    young: float
+    poisson: float
+    hardening: Hardening
+    q1: float = 1.5
+    q2: float = 1.0
+    nucleated_fraction: float = 0.0
+    nucleation_strain: float = 0.3
+    nucleation_deviation: float = 0.1
+    coalescence: float | None = None
+    failure: float | None = None
+
+    def __post_init__(self) -> None:
+        _require(np.isfinite(self.young) and self.young > 0, "young", self.young, "a positive modulus in Pa")
+        _require(-1 < self.poisson < 0.5, "poisson", self.poisson, "above -1 and below 0.5")
+        _require(1 < self.q1 < 10, "q1", self.q1, "above 1 and below 10")
+        _require(0 < self.q2 <= 2, "q2", self.q2, "above 0 and at most 2")
+        _require(
+            0 <= self.nucleated_fraction < 1 / self.q1,
+            "nucleated_fraction",
+            self.nucleated_fraction,
+            "at least 0 and below 1/q1",
+        )
+        _require(
+            self.nucleation_deviation > 0, "nucleation_deviation", self.nucleation_deviation, "positive"
+        )
+        _require(
+            (self.coalescence is None) == (self.failure is None),
+            "coalescence and failure",
+            (self.coalescence, self.failure),
+            "given together or not at all",
+        )
+        if self.coalescence is not None and self.failure is not None:
+            _require(
+                0 < self.coalescence < min(self.failure, 1 / self.q1) and self.failure < 1,
+                "coalescence and failure",
+                (self.coalescence, self.failure),
+                "0 < coalescence < failure < 1, coalescence below 1/q1",
+            )
+
+    @property
+    def maximum_damage(self) -> float:
+        """f_max = 1/q1, where the yield surface shrinks to a point."""
+        return 1.0 / self.q1
+
+    def parameters(self) -> np.ndarray:
+        """The vector that the kernels read (indices in `gurson`)."""
+        vector = np.zeros(PARAMETERS)
+        vector[BULK] = self.young / (3.0 * (1.0 - 2.0 * self.poisson))
+        vector[SHEAR] = self.young / (2.0 * (1.0 + self.poisson))
+        vector[Q1], vector[Q2], vector[Q3] = self.q1, self.q2, self.q1**2
+        vector[NUCLEATED] = self.nucleated_fraction
+        vector[NUCLEATION_MEAN] = self.nucleation_strain
+        vector[NUCLEATION_DEVIATION] = self.nucleation_deviation
+        effective_limit = (1.0 - RESIDUAL_STRENGTH) / self.q1
+        vector[COALESCENCE], vector[ACCELERATION] = 1.0, 1.0
+        vector[LIMIT] = effective_limit
+        if self.coalescence is not None and self.failure is not None:
+            vector[COALESCENCE] = self.coalescence
+            vector[ACCELERATION] = (1.0 / self.q1 - self.coalescence) / (self.failure - self.coalescence)
+            vector[LIMIT] = (
+                self.coalescence + (effective_limit - self.coalescence) / vector[ACCELERATION]
+            )
+        return vector
+
+
+# scratch of one thread: rows 0-2 of `small` vectors, `dyad` for the tangent
+SCRATCH = 9 * 9 + 6 * 9
+
+
+@njit(cache=True, nogil=True)
+def update_point(
+    gradient, plastic_old, strain, damage, material, kind, hardening, need_tangent, stress,
+    tangent, plastic_new, small, dyad,
+):  # fmt: skip
+    """Update one quadrature point.
+
+    gradient: F (3,3); plastic_old: Cp^-1 (6,) at the start of the step; strain, damage: plastic
+    strain and f there. Fills `stress` (Kirchhoff, 3x3), `tangent` (9x9: d tau = tangent : dF F^-1)
+    when asked, and `plastic_new` (6,). `small` (6,3,3) and `dyad` (9,9) are scratch.
+
+    Returns (ok, plastic strain, f, stored energy, dissipated energy, mises, mean stress) with
+    energies per reference volume and Kirchhoff stresses; ok is False for det F <= 0 or no number.
+    """
+    trial, vectors, principal, inverse, log_strain, work = (
+        small[0], small[1], small[2], small[3], small[4], small[5],
+    )  # fmt: skip
+    jacobian = invert(gradient, inverse)
+    if not jacobian > 0.0:
+        return False, strain, damage, 0.0, 0.0, 0.0, 0.0
+    push_forward(gradient, plastic_old, trial)
+    stretches = log_strain[2]
+    eigen_symmetric(trial, stretches, vectors)
+    if not (stretches[0] > 0.0 and stretches[1] > 0.0 and stretches[2] > 0.0):
+        return False, strain, damage, 0.0, 0.0, 0.0, 0.0
+    bulk, shear = material[BULK], material[SHEAR]
+    deviator, normal = log_strain[0], log_strain[1]
+    for a in range(3):
+        deviator[a] = 0.5 * np.log(stretches[a])
+    volume = deviator[0] + deviator[1] + deviator[2]
+    for a in range(3):
+        deviator[a] -= volume / 3.0
+    squared = deviator[0] ** 2 + deviator[1] ** 2 + deviator[2] ** 2
+    mises = shear * np.sqrt(6.0 * squared)
+    a_pl, beta, new_strain, new_damage, flow, a_v, b_v, a_q, b_q = return_map(
+        volume, mises, jacobian, strain, damage, material, kind, hardening
+    )
+    pressure = bulk * (volume - a_pl)
+    for i in range(3):
+        for j in range(3):
+            stress[i, j] = pressure if i == j else 0.0
+    for a in range(3):
+        value = 2.0 * shear * beta * deviator[a]
+        for i in range(3):
+            for j in range(3):
+                stress[i, j] += value * vectors[i, a] * vectors[j, a]
+    if new_strain == strain and a_pl == 0.0:
+        for k in range(6):
+            plastic_new[k] = plastic_old[k]
+    else:
+        for a in range(3):
+            elastic = np.exp(2.0 * ((volume - a_pl) / 3.0 + beta * deviator[a]))
+            for i in range(3):
+                for j in range(3):
+                    if a == 0:
+                        work[i, j] = 0.0
+                    work[i, j] += elastic * vectors[i, a] * vectors[j, a]
+        stress_row = trial  # free by now: holds F^-1 b_e
+        for i in range(3):
+            for j in range(3):
+                stress_row[i, j] = (
+                    inverse[i, 0] * work[0, j] + inverse[i, 1] * work[1, j] + inverse[i, 2] * work[2, j]
+                )
+        index = 0
+        for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
+            plastic_new[index] = (
+                stress_row[i, 0] * inverse[j, 0]
+                + stress_row[i, 1] * inverse[j, 1]
+                + stress_row[i, 2] * inverse[j, 2]
+            )
+            index += 1
+    final = beta * mises
+    stored = 0.5 * bulk * (volume - a_pl) ** 2 + final * final / (6.0 * shear)
+    dissipated = 0.0
+    if new_strain > strain:
+        old_flow, _ = flow_stress(kind, hardening, strain)
+        mean = 0.5 * (1.0 + old_flow * jacobian / flow)
+        dissipated = mean * (pressure * a_pl + final * (mises - final) / (3.0 * shear))
+    if need_tangent:
+        for b in range(3):
+            normal[b] = 6.0 * shear * shear * deviator[b] / mises if mises > 0.0 else 0.0
+        for a in range(3):
+            for b in range(3):
+                d_a = a_v + a_q * normal[b]
+                d_beta = b_v + b_q * normal[b]
+                principal[a, b] = bulk * (1.0 - d_a) - 2.0 / 3.0 * shear * beta
+                principal[a, b] += 2.0 * shear * deviator[a] * d_beta
+            principal[a, a] += 2.0 * shear * beta
+        spatial_tangent(principal, stretches, vectors, 2.0 * shear * beta, tangent, dyad)
+    finite = np.isfinite(pressure) and np.isfinite(final) and np.isfinite(new_strain)
+    return finite, new_strain, new_damage, stored, dissipated, final, pressure
+
+
+@njit(cache=True, nogil=True)
+def update_points(
+    gradients, plastic_old, strains, damages, material, kind, hardening, stresses, tangents,
+    plastic_new, new_strains, new_damages,
+):  # fmt: skip
+    """Update n points: F (n,3,3), Cp^-1 (n,6), strain (n,), f (n,); returns the number that failed.
+
+    For tests and benchmarks; the assembly calls `update_point` within its loop over cells.
+    """
+    small, dyad = np.empty((6, 3, 3)), np.empty((9, 9))
+    failed = 0
+    for i in range(gradients.shape[0]):
+        ok, strain, damage, _, _, _, _ = update_point(
+            gradients[i], plastic_old[i], strains[i], damages[i], material, kind, hardening, True,
+            stresses[i], tangents[i], plastic_new[i], small, dyad,
+        )  # fmt: skip
+        new_strains[i], new_damages[i] = strain, damage
+        if not ok:
+            failed += 1
+    return failed
+
+
+def identity_plastic(shape: tuple[int, ...]) -> np.ndarray:
+    """Cp^-1 of virgin material, (*shape, 6)."""
+    plastic = np.zeros((*shape, 6))
+    plastic[..., :3] = 1.0
+    return plastic
+
+
+def uniaxial_yield(material: Material, damage: float) -> float:
+    """Uniaxial stress over yield stress at f, by bisection of (5.40)."""
+    from fem.constitutive.gurson import yield_function
+
+    parameters = material.parameters()
+    low, high = 0.0, 1.0
+    for _ in range(200):
+        middle = 0.5 * (low + high)
+        if yield_function(middle, middle / 3.0, 1.0, damage, parameters) > 0.0:
+            high = middle
+        else:
+            low = middle
+    return 0.5 * (low + high)
+
+
+__all__ = ["Material", "VoceHardening", "identity_plastic", "uniaxial_yield", "update_points"]

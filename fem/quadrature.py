@@ -1,0 +1,93 @@
+"""Tetrahedral elements: quadrature points, weights and shape-function gradients (plain NumPy).
+
+Reference tetrahedron with vertices (0,0,0), (1,0,0), (0,1,0), (0,0,1) and volume 1/6. The ten-node
+element is straight-sided; its nodes are the four vertices followed by the midpoints of the edges in
+the order of `EDGES`, which is the ordering of basix/dolfinx.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+EDGES = np.array([(2, 3), (1, 3), (1, 2), (0, 3), (0, 2), (0, 1)])
+FACES = np.array([(1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2)])
+# d(lambda)/dX on the reference tetrahedron, vertex by direction
+_BARYCENTRIC_GRADIENT = np.array([(-1.0, -1.0, -1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
+_A = (5.0 - np.sqrt(5.0)) / 20.0
+_FOUR_POINTS = np.full((4, 4), _A) + np.eye(4) * (1.0 - 4.0 * _A)
+
+
+@dataclass(frozen=True)
+class Element:
+    """A tetrahedral element: its points in barycentric coordinates and its treatment of volume."""
+
+    name: str
+    order: int  # of the shape functions: 1 or 2
+    barycentric: np.ndarray  # (nq, 4) quadrature points
+    weights: np.ndarray  # (nq,), sum 1/6
+    mean_dilatation: bool  # F-bar: the volume change is averaged (over the cell, or over a patch)
+
+    @property
+    def nodes(self) -> int:
+        """Nodes per cell."""
+        return 4 if self.order == 1 else 10
+
+    @property
+    def points(self) -> int:
+        """Quadrature points per cell."""
+        return len(self.weights)
+
+    def reference_gradients(self) -> np.ndarray:
+        """Gradients of the shape functions in reference coordinates, (nq, nodes, 3)."""
+        if self.order == 1:
+            return np.repeat(_BARYCENTRIC_GRADIENT[None], self.points, axis=0)
+        gradients = np.empty((self.points, 10, 3))
+        for q, bary in enumerate(self.barycentric):
+            gradients[q, :4] = (4.0 * bary[:, None] - 1.0) * _BARYCENTRIC_GRADIENT
+            for e, (a, b) in enumerate(EDGES):
+                gradients[q, 4 + e] = 4.0 * (
+                    bary[a] * _BARYCENTRIC_GRADIENT[b] + bary[b] * _BARYCENTRIC_GRADIENT[a]
+                )
+        return gradients
+
+
+_ONE_POINT = np.full((1, 4), 0.25)
+ELEMENTS: dict[str, Element] = {
+    "P1": Element("P1", 1, _ONE_POINT, np.array([1.0 / 6.0]), False),
+    "P2": Element("P2", 2, _FOUR_POINTS, np.full(4, 1.0 / 24.0), False),
+    "P2-Fbar": Element("P2-Fbar", 2, _FOUR_POINTS, np.full(4, 1.0 / 24.0), True),
+}
+
+
+def find_element(name: str) -> Element:
+    """Return the element called `name`; ValueError names the known ones."""
+    try:
+        return ELEMENTS[name]
+    except KeyError:
+        known = ", ".join(ELEMENTS)
+        raise ValueError(f"element is {name!r}; allowed are {known}") from None
+
+
+def quadrature_points(
+    points: np.ndarray, cells: np.ndarray, element: str = "P2"
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the quadrature points and their volumes in the original order of the cells.
+
+    Parameters
+    ----------
+    points: (n, 3) vertices [m].
+    cells: (nc, 4) vertex numbers.
+    element: "P1" (one point), "P2" or "P2-Fbar" (four points).
+
+    Returns
+    -------
+    (nc, nq, 3) coordinates [m] and (nc, nq) volumes [m^3]; the volumes of a cell add up to its own.
+    """
+    kind = find_element(element)
+    corners = np.asarray(points, float)[np.asarray(cells)]
+    coordinates = np.einsum("qa,cad->cqd", kind.barycentric, corners)
+    edges = corners[:, 1:] - corners[:, :1]
+    six_volumes = np.abs(np.linalg.det(edges))
+    return coordinates, six_volumes[:, None] * kind.weights[None, :]
