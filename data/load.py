@@ -65,6 +65,17 @@ class _Table:
             raise self.fail(key, f"is '{value}'; it must be one of {', '.join(allowed)}")
         return value
 
+    def source(self, key: str) -> str:
+        """Return a key of the bibliography."""
+        source = self.text(key)
+        if source not in self.sources:
+            raise self.fail(key, f"is '{source}', which is not a key of references.bib")
+        return source
+
+    def source_or_none(self, key: str) -> str:
+        """Return a key of the bibliography, or an empty text where the entry is left out."""
+        return self.source(key) if key in self.entries else ""
+
     def table(self, key: str) -> "_Table":
         """Return an inner table."""
         return _Table(self._field(key), self._take(key), self.file, self.sources)
@@ -92,14 +103,11 @@ class _Table:
                 "unit",
                 f"is '{unit}'; a unit of {allowed.dimension} is needed, one of {', '.join(known)}",
             )
-        source = self.text("source")
-        if source not in self.sources:
-            raise self.fail("source", f"is '{source}', which is not a key of references.bib")
         quantity = Quantity(
             value=float(value),
             unit=unit,
             dimension=allowed.dimension,
-            source=source,
+            source=self.source("source"),
             where=self.text("where"),
             kind=self.text("kind", allowed=tuple(KINDS)),
             conditions=self.text("conditions", default=""),
@@ -243,9 +251,7 @@ def _with_balance(file: _Table, dissolving: str, given: dict[str, Quantity]) -> 
     rest = 1.0 - sum(fraction.si for fraction in given.values())
     if not rest > 0:
         raise file.fail("mass_fractions", f"sum to {1 - rest:g}; they must sum to less than 1")
-    balance = Quantity(
-        rest, "1", "dimensionless", "", "1 less the other mass fractions", "derived"
-    )
+    balance = Quantity(rest, "1", "dimensionless", "", "1 less the other mass fractions", "derived")
     return {dissolving: balance, **given}
 
 
@@ -276,6 +282,7 @@ def load_medium(name: str | Path) -> Medium:
         name=file.text("name"),
         title=file.text("title"),
         species=species,
+        first_published=file.source_or_none("first_published"),
         note=file.text("note", default=""),
         **file.quantities(limits.MEDIUM, limits.MEDIUM_OPTIONAL),
     )
@@ -316,6 +323,7 @@ def load_parameter_set(name: str | Path) -> ParameterSet:
         medium=file.text("medium", allowed=tuple(list_media())),
         scene=scene,
         alloys=alloys,
+        first_published=file.source_or_none("first_published"),
         note=file.text("note", default=""),
     )
     file.done()

@@ -55,6 +55,9 @@ class Quantity:
 class Record:
     """Base of everything that is made of quantities: lists them by name."""
 
+    first_published: str = ""
+    """Key of the source that printed the numbers first, where that is not the source named."""
+
     def quantities(self) -> dict[str, Quantity]:
         """Return every quantity of the record by dotted name, in the order of the fields."""
         found: dict[str, Quantity] = {}
@@ -68,7 +71,8 @@ class Record:
 
     def sources(self) -> list[str]:
         """Return the keys of the sources used, each once, in order of first use."""
-        return list(dict.fromkeys(q.source for q in self.quantities().values() if q.source))
+        used = [q.source for q in self.quantities().values()] + [self.first_published]
+        return [key for key in dict.fromkeys(used) if key]
 
 
 def _collect(name: str, value: object, found: dict[str, Quantity]) -> None:
@@ -139,6 +143,7 @@ class Medium(Record):
     species: Mapping[str, Species]
     carbon_dioxide: Quantity | None = None  # volume fraction in the gas above the medium
     refresh_interval: Quantity | None = None  # s
+    first_published: str = ""
     note: str = ""
 
     def net_charge(self) -> float:
@@ -184,6 +189,7 @@ class ParameterSet(Record):
     medium: str
     scene: CalibrationScene
     alloys: Mapping[str, CorrosionParameters]
+    first_published: str = ""
     note: str = ""
 
     def for_alloy(self, alloy: str) -> CorrosionParameters:
