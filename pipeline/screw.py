@@ -139,9 +139,24 @@ class ScrewParameters:
 
     @property
     def crest_height(self) -> float:
-        """z (m) of the middle of a crest at angle 0, chosen so that the floor of the slot cuts
-        the thread through its flanks and leaves no tiny faces: P/8 below the floor."""
-        return self.length - self.slot_depth - self.pitch / 8
+        """z (m) of the middle of a crest at angle 0, chosen so that no plane end makes tiny faces.
+
+        Helical: P/8 below the floor of the slot, which then cuts the thread through its flanks.
+        Grooves: where the end planes and the floor stay furthest from the edges of the profile.
+        """
+        floor = self.length - self.slot_depth
+        if self.thread != "grooves":
+            return floor - self.pitch / 8
+        crests = floor - (np.arange(400) + 0.5) / 400 * self.pitch
+        axial = np.array([[0.0], [floor], [self.length]]) - crests
+        return float(crests[int(np.argmax(self.edge_distance(axial).min(axis=0)))])
+
+    def edge_distance(self, axial: np.ndarray) -> np.ndarray:
+        """Axial distance (m) from the nearest edge of the profile: crest to flank to root."""
+        axial = np.asarray(axial, dtype=float)
+        distance = np.abs(np.mod(axial + self.pitch / 2, self.pitch) - self.pitch / 2)
+        crest = self.crest_width / 2
+        return np.minimum(abs(distance - crest), abs(distance - crest - self.flank_width))
 
     def surface_radius(self, angle: np.ndarray, height: np.ndarray) -> np.ndarray:
         """Radius (m) of the threaded surface at an angle (rad) about the axis and a z (m)."""
@@ -167,7 +182,7 @@ class ScrewParameters:
 
 
 def reference_volume_and_area(
-    screw: ScrewParameters, angles: int = 2880, heights: int = 64
+    screw: ScrewParameters, angles: int = 2880, heights: int = 120
 ) -> tuple[float, float]:
     """Volume (m^3) and surface area (m^2) of the screw from its parameters alone.
 
@@ -175,7 +190,8 @@ def reference_volume_and_area(
         V = int int r^2/2 dangle dz,  A_thread = int int sqrt(r_a^2 + r^2 (1 + r_z^2)) dangle dz,
     and for a slot |y| < w/2 the part of a cross-section inside it is int min(r, w/2/|sin a|)^2/2
     and the length of its two walls the derivative of that with respect to w/2. Midpoint rule;
-    ``heights`` intervals per pitch. The default is within 1e-5 of the limit.
+    ``heights`` intervals per pitch. The default is within 1e-4 of the limit (measured
+    by doubling both counts).
     """
     step_angle = 2 * math.pi / angles
     angle = (np.arange(angles) + 0.5) * step_angle
