@@ -1,0 +1,1 @@
+"""Peridynamic corrosion of metals in liquids on uniform lattices (SI units throughout)."""
