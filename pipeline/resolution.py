@@ -8,23 +8,23 @@ class Resolution:
     """Sizes and steps of one preset, SI.
 
     spacing: lattice spacing; horizon: thickness of the corroded layer, a material length
-    that stays the same in all presets (MODEL.md 2); step: time step of the corrosion march;
-    mesh_size, mesh_size_fine: edge length in the bulk and at thread and slot; increment:
-    largest increment of nominal strain in the tensile test.
+    that stays the same in all presets (MODEL.md 2); rate_change: what controls the time step
+    (peri.marching); mesh_size, mesh_size_fine: edge length in the bulk and at thread and slot;
+    increment: largest increment of nominal strain in the tensile test.
     """
 
     spacing: float
     horizon: float
-    step: float
+    rate_change: float
     mesh_size: float
     mesh_size_fine: float
     increment: float
 
 
 RESOLUTIONS: dict[str, Resolution] = {
-    "quick": Resolution(100e-6, 200e-6, 43200.0, 0.30e-3, 0.20e-3, 0.005),
-    "standard": Resolution(50e-6, 200e-6, 21600.0, 0.15e-3, 0.10e-3, 0.005),
-    "fine": Resolution(200e-6 / 6, 200e-6, 10800.0, 0.08e-3, 0.05e-3, 0.0025),
+    "quick": Resolution(100e-6, 200e-6, 0.1, 0.30e-3, 0.20e-3, 0.005),
+    "standard": Resolution(50e-6, 200e-6, 0.05, 0.15e-3, 0.10e-3, 0.005),
+    "fine": Resolution(200e-6 / 6, 200e-6, 0.025, 0.08e-3, 0.05e-3, 0.0025),
 }
 
 

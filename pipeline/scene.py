@@ -14,6 +14,7 @@ import typing
 from dataclasses import dataclass, field
 
 from fem.quadrature import ELEMENTS
+from peri.marching import SCHEMES as TIME_SCHEMES
 from pipeline.screw import ScrewParameters
 from pipeline.units import ImmersionTime, format_length
 
@@ -21,7 +22,6 @@ SCHEMA_VERSION = 1
 DOMAIN_SHAPES = ("cylinder", "ball")
 BOUNDARIES = ("refreshed", "no_flux")
 SATURATIONS = ("complementarity", "as_published", "none")
-TIME_SCHEMES = ("backward_euler", "sdirk2", "forward_euler")
 CALIBRATIONS = ("discrete", "closed")
 GRIPS = ("end_faces", "clamped", "beyond_slot")
 
@@ -106,17 +106,23 @@ class DomainSettings:
 
 @dataclass(frozen=True)
 class CorrosionSettings:
-    """How the bi-material model is solved: scheme, step (s), saturation, stencil constants."""
+    """How the bi-material model is solved: time stepping, saturation, stencil constants.
 
-    step: float
-    scheme: str = "backward_euler"
+    step: fixed time step (s); None lets rate_change control it (peri.marching.TimeStepping).
+    """
+
+    scheme: str = "sdirk2"
+    step: float | None = None
+    rate_change: float = 0.05
     saturation: str = "complementarity"
     calibration: str = "discrete"
     influence: str = "constant"
     kernel_exponent: float = 0.0
 
     def __post_init__(self) -> None:
-        _positive("corrosion step", self.step)
+        if self.step is not None:
+            _positive("corrosion step", self.step)
+        _check(0 < self.rate_change <= 1, "rate change", self.rate_change, "in (0, 1]")
         _one_of("time scheme", self.scheme, TIME_SCHEMES)
         _one_of("saturation", self.saturation, SATURATIONS)
         _one_of("calibration", self.calibration, CALIBRATIONS)
@@ -128,8 +134,9 @@ class CorrosionSettings:
 class CorrosionParameters:
     """Constants of the bi-material model for one alloy, SI (mol/m^3, m^2/s, m).
 
-    interface_diffusivity belongs to the lattice it was calibrated on (calibration_spacing,
-    calibration_horizon); pipeline.corrosion_stage turns it into a dissolution flux there, once.
+    interface_diffusivity belongs to the lattice and stencil constants it was calibrated on
+    (calibration_spacing, calibration_horizon, calibration); pipeline.corrosion_stage turns it
+    into a dissolution flux there, once.
     volume_loss_scale is l of Eq. 5.13, dimensionless.
     """
 
@@ -140,10 +147,13 @@ class CorrosionParameters:
     volume_loss_scale: float
     calibration_spacing: float = 100e-6
     calibration_horizon: float = 200e-6
+    calibration: str = "closed"
 
     def __post_init__(self) -> None:
         for name in dataclasses.fields(self):
-            _positive(name.name.replace("_", " "), getattr(self, name.name))
+            if name.name != "calibration":
+                _positive(name.name.replace("_", " "), getattr(self, name.name))
+        _one_of("calibration", self.calibration, CALIBRATIONS)
         _check(
             self.saturation_concentration < self.solid_concentration,
             "saturation concentration",
@@ -172,11 +182,10 @@ class MaterialParameters:
             "above -1 and below 0.5",
         )
         _positive("initial yield stress", self.initial_yield_stress)
-        for name in ("hardening_capacity", "hardening_rate"):
-            value = getattr(self, name)
-            _check(
-                math.isfinite(value) and value >= 0, name.replace("_", " "), value, "at least 0"
-            )
+        capacity = self.hardening_capacity
+        finite = math.isfinite(capacity) and capacity >= 0
+        _check(finite, "hardening capacity", capacity, "a finite number, at least 0")
+        _positive("hardening rate", self.hardening_rate)
         _positive("q1", self.q1)
 
 

@@ -53,7 +53,7 @@ def scene() -> Scene:
         alloys=(_alloy("Mg-A"), _alloy("Mg-B")),
         lattice=LatticeSettings(100e-6, 200e-6),
         domain=DomainSettings(),
-        corrosion=CorrosionSettings(step=43200.0),
+        corrosion=CorrosionSettings(),
         mesh=MeshSettings(0.3e-3, 0.2e-3),
         tensile=TensileScene(),
     )
@@ -137,7 +137,7 @@ def test_unknown_missing_and_mistyped_fields_are_named(scene):
         (lambda: LatticeSettings(0.0, 200e-6), "lattice spacing is 0.0"),
         (lambda: MeshSettings(1e-4, 2e-4), "fine mesh size is 200 um"),
         (lambda: CorrosionSettings(step=0.0), "corrosion step is 0.0"),
-        (lambda: CorrosionSettings(step=1.0, saturation="maybe"), "saturation is 'maybe'"),
+        (lambda: CorrosionSettings(saturation="maybe"), "saturation is 'maybe'"),
         (lambda: TensileScene(final_strain=0.0), "final strain is 0.0"),
         (lambda: TensileScene(increment=0.5), "tensile increment is 0.5"),
         (lambda: DomainSettings(shape="cube"), "domain shape is 'cube'"),

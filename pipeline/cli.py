@@ -1,0 +1,313 @@
+"""The command `perilife`: parses, calls the stages, prints results and one-sentence errors.
+
+Exit codes: 0 done, 1 a computation failed, 2 the input cannot be used (one sentence on stderr,
+nothing half-written), 130 interrupted (the run folder can be resumed).
+"""
+
+import argparse
+import errno
+import json
+import logging
+import os
+import signal
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from pipeline.options import add_scene_options
+
+INTERRUPTED = 130
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser that refuses in one sentence, without repeating the usage."""
+
+    def error(self, message: str) -> None:
+        raise ValueError(f"{message}; see `{self.prog} --help`")
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The parser of `perilife` with all its subcommands."""
+    parser = _Parser(
+        prog="perilife",
+        description="Residual strength of biodegradable magnesium implants after immersion.",
+    )
+    parser.add_argument("--version", action="store_true", help="print the version and end")
+    parser.add_argument("--verbose", action="store_true", help="log what the libraries do")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", parser_class=_Parser)
+
+    def add(name: str, action: Callable[[argparse.Namespace], int], text: str) -> _Parser:
+        command = commands.add_parser(name, help=text, description=text, allow_abbrev=False)
+        command.set_defaults(action=action)
+        return command
+
+    run = add("run", _run, "the whole life cycle: geometry, corrosion, damage, tensile test")
+    add_scene_options(run)
+    _add_folder_options(run, resume=True)
+    _add_machine_options(run)
+    geometry = add("geometry", _geometry, "begin a run folder: solid and mesh of a scene")
+    add_scene_options(geometry)
+    _add_folder_options(geometry, resume=True)
+    for name, action, text in (
+        ("corrode", _corrode, "corrosion of the alloys of a run folder"),
+        ("map", _map, "damage on the mesh for the immersion times of a run folder"),
+        ("pull", _pull, "tensile tests of a run folder"),
+    ):
+        stage = add(name, action, text)
+        _add_folder_options(stage)
+        stage.add_argument("--alloy", nargs="+", metavar="A", help="only these of the run")
+        if name != "corrode":
+            stage.add_argument("--immersion", nargs="+", metavar="T", help="only these of the run")
+        if name == "pull":
+            _add_machine_options(stage)
+    _add_folder_options(add("report", _report, "summary.csv and report.html of a run folder"))
+    plan = add("plan", _plan, "what a run would compute, what not and why, time and memory")
+    add_scene_options(plan)
+    plan.add_argument("--json", action="store_true", help="as one JSON object")
+    add("alloys", _alloys, "the alloys and parameter sets that are known")
+    bench = add("bench", _bench, "benchmarks of this machine")
+    bench.add_argument("name", metavar="NAME", help="name of a benchmark, or list")
+    bench.add_argument("--json", action="store_true", help="as one JSON object")
+    return parser
+
+
+def _add_folder_options(parser: argparse.ArgumentParser, resume: bool = False) -> None:
+    parser.add_argument("--out", required=True, metavar="DIR", help="the run folder")
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+    if resume:
+        parser.add_argument("--resume", action="store_true", help="go on with the same scene")
+
+
+def _add_machine_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--np", type=int, default=1, metavar="NP", help="MPI ranks per pull (1)")
+    parser.add_argument(
+        "--pulls", type=int, metavar="N", help="pulls at a time (as many as cores allow)"
+    )
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run `perilife` with the given arguments and return its exit code."""
+    signal.signal(signal.SIGTERM, _interrupt)
+    options = argparse.Namespace(out=None)
+    try:
+        options = build_parser().parse_args(arguments)
+        if options.verbose:
+            logging.basicConfig(level=logging.INFO, format="%(name)s: %(message)s")
+        if options.version:
+            from pipeline.machine import version
+
+            print(f"perilife {version()}")
+            return 0
+        if options.command is None:
+            raise ValueError("no command was given; see `perilife --help`")
+        return options.action(options)
+    except KeyboardInterrupt:
+        return _interrupted(options)
+    except (ValueError, OSError, MemoryError) as error:
+        if getattr(options, "verbose", False):
+            logging.getLogger(__name__).exception("the refusal below came from here")
+        print(f"perilife: {sentence(error)}", file=sys.stderr)
+        return 2
+    except RuntimeError as error:
+        print(f"perilife: {sentence(error)}", file=sys.stderr)
+        return 1
+
+
+def sentence(error: BaseException) -> str:
+    """Say an error in one sentence on one line."""
+    text = str(error)
+    if isinstance(error, OSError) and error.errno is not None:
+        where = f"'{error.filename}'" if error.filename else "the run folder"
+        reasons = {
+            errno.ENOSPC: f"there is no space left to write {where}",
+            errno.EACCES: f"there is no right to write or read {where}",
+            errno.EPERM: f"there is no right to write or read {where}",
+            errno.EROFS: f"{where} is on a file system that cannot be written",
+        }
+        text = reasons.get(error.errno, f"{where} cannot be used: {os.strerror(error.errno)}")
+    text = " ".join(text.split()) or type(error).__name__
+    return text if text.endswith(".") else f"{text}."
+
+
+def _interrupt(number: int, frame: object) -> None:
+    raise KeyboardInterrupt
+
+
+def _interrupted(options: argparse.Namespace) -> int:
+    message = "perilife: interrupted."
+    if getattr(options, "out", None) and Path(options.out, "scene.json").exists():
+        message = (
+            f"perilife: interrupted; what is complete in '{options.out}' is kept, and the same "
+            "command with --resume goes on from there."
+        )
+    print(f"\n{message}", file=sys.stderr)
+    return INTERRUPTED
+
+
+def _run(options: argparse.Namespace) -> int:
+    from pipeline.life_cycle import LifeCycle
+    from pipeline.opening import open_run
+    from pipeline.options import scene_from_options
+    from pipeline.progress import progress_for
+
+    _check_counts(options)
+    scene = scene_from_options(options)
+    with (
+        open_run(scene, options.out, options.resume) as (folder, solid),
+        progress_for(sys.stderr, options.quiet) as progress,
+    ):
+        cycle = LifeCycle(
+            scene, folder, ranks=options.np, workers=options.pulls, progress=progress, solid=solid
+        )
+        rows = cycle.run()
+    _print_summary(rows)
+    print(f"\ntable:  {folder.summary_file}")
+    if folder.report_file.exists():
+        print(f"report: {folder.report_file}")
+    return 0
+
+
+def _geometry(options: argparse.Namespace) -> int:
+    from pipeline.life_cycle import LifeCycle
+    from pipeline.opening import open_run
+    from pipeline.options import scene_from_options
+    from pipeline.progress import progress_for
+
+    scene = scene_from_options(options)
+    with (
+        open_run(scene, options.out, options.resume) as (folder, solid),
+        progress_for(sys.stderr, options.quiet) as progress,
+    ):
+        record = LifeCycle(scene, folder, progress=progress, solid=solid).geometry()
+    for name, value in record.numbers.items():
+        print(f"{name}: {value}")
+    return 0
+
+
+def _corrode(options: argparse.Namespace) -> int:
+    return _stages(options, lambda cycle, alloys, times: [cycle.corrode(a) for a in alloys])
+
+
+def _map(options: argparse.Namespace) -> int:
+    return _stages(
+        options,
+        lambda cycle, alloys, times: [cycle.map(a, t) for a in alloys for t in times],
+    )
+
+
+def _pull(options: argparse.Namespace) -> int:
+    _check_counts(options)
+    return _stages(
+        options, lambda cycle, alloys, times: cycle.pull([(a, t) for a in alloys for t in times])
+    )
+
+
+def _report(options: argparse.Namespace) -> int:
+    def action(cycle, alloys, times):
+        _print_summary(cycle.summarise())
+        cycle.report()
+
+    return _stages(options, action)
+
+
+def _stages(options: argparse.Namespace, action: Callable) -> int:
+    """Open the run folder of a stage command, lock it and let `action` work on it."""
+    from pipeline.life_cycle import LifeCycle
+    from pipeline.opening import read_run
+    from pipeline.progress import progress_for
+
+    folder, scene = read_run(options.out)
+    names = getattr(options, "alloy", None) or [alloy.name for alloy in scene.alloys]
+    alloys = [scene.alloy(name).name for name in names]
+    labels = getattr(options, "immersion", None)
+    times = scene.with_intact() if labels is None else [scene.time(label) for label in labels]
+    with folder.lock(), progress_for(sys.stderr, options.quiet) as progress:
+        cycle = LifeCycle(
+            scene,
+            folder,
+            ranks=getattr(options, "np", 1),
+            workers=getattr(options, "pulls", None),
+            progress=progress,
+        )
+        action(cycle, alloys, times)
+    return 0
+
+
+def _plan(options: argparse.Namespace) -> int:
+    from pipeline.options import scene_from_options
+    from pipeline.plan import make_plan, print_plan
+
+    plan = make_plan(scene_from_options(options))
+    if options.json:
+        print(json.dumps(plan.to_json(), indent=2))
+    else:
+        print_plan(plan)
+    return 0
+
+
+def _alloys(options: argparse.Namespace) -> int:
+    import perilife_data
+
+    for name in perilife_data.list_alloys():
+        print(f"{name:12s} {perilife_data.load_alloy(name).title}")
+    print()
+    for name in perilife_data.list_parameter_sets():
+        parameters = perilife_data.load_parameter_set(name)
+        print(f"{name:24s} {parameters.title} ({', '.join(parameters.alloys)})")
+    return 0
+
+
+def _bench(options: argparse.Namespace) -> int:
+    from pipeline.bench import BENCHMARKS, print_result, run_benchmark
+
+    if options.name == "list":
+        for name, benchmark in BENCHMARKS.items():
+            print(f"{name:16s} {benchmark.description}")
+        return 0
+    result = run_benchmark(options.name)
+    if options.json:
+        print(json.dumps(result, indent=2))
+    else:
+        print_result(result)
+    return 0
+
+
+def _check_counts(options: argparse.Namespace) -> None:
+    for name, value in (("--np", options.np), ("--pulls", options.pulls)):
+        if value is not None and not 1 <= value <= 4096:
+            raise ValueError(f"{name} is {value}; it must be 1 to 4096")
+
+
+def _print_summary(rows: list) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title="Residual strength")
+    for column in (
+        "alloy",
+        "immersion [d]",
+        "volume loss [%]",
+        "mean damage",
+        "peak force [N]",
+        "strength ratio",
+        "elongation at peak",
+        "status",
+    ):
+        table.add_column(column, justify="left" if column in ("alloy", "status") else "right")
+    for row in rows:
+        table.add_row(
+            row.alloy,
+            f"{row.immersion_days:g}",
+            f"{100 * row.volume_loss:.2f}",
+            f"{row.mean_corrosion_damage:.4f}",
+            f"{row.peak_force_N:.1f}",
+            f"{row.strength_ratio:.3f}",
+            f"{row.elongation_at_peak:.4f}",
+            row.status,
+        )
+    console = Console(width=None if sys.stdout.isatty() else 120)
+    console.print(table)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

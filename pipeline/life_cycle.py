@@ -1,0 +1,257 @@
+"""The life cycle: geometry, corrosion, damage map, tensile tests, table and report, with resume.
+
+Each method of `LifeCycle` does one stage unless its record says that it is complete.  Files and
+folders are those of `pipeline.run_folder`.
+"""
+
+import logging
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from pipeline import machine
+from pipeline.progress import Progress
+from pipeline.run_folder import RunFolder, RunFolderError, StageRecord, utc_now
+from pipeline.scene import (
+    Scene,
+    content_hash,
+    corrosion_hash,
+    geometry_hash,
+    map_hash,
+    pull_hash,
+)
+from pipeline.summary import SummaryRow, write_summary
+from pipeline.tensile_stage import CURVE_FILE, RESULT_FILE, TensileJob, read_result, run_jobs
+from pipeline.units import ImmersionTime
+
+logger = logging.getLogger(__name__)
+
+Outcome = tuple[list[Path], dict[str, object]]
+"""What a stage leaves: the files that must exist, and numbers for its record."""
+
+
+class LifeCycle:
+    """One run: a scene, its folder, how many MPI ranks per pull and how many pulls at a time.
+
+    workers: None takes as many as the cores allow.  solid: the solid of the scene where it has
+    been built already.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        folder: RunFolder | Path | str,
+        *,
+        ranks: int = 1,
+        workers: int | None = None,
+        progress: Progress | None = None,
+        solid: object = None,
+    ):
+        self.scene = scene
+        self.folder = folder if isinstance(folder, RunFolder) else RunFolder(folder)
+        self.ranks = ranks
+        self.workers = workers or max(1, machine.processor_cores() // ranks)
+        self.progress = progress or Progress()
+        self._solid = solid
+
+    def run(self) -> list[SummaryRow]:
+        """Every stage for every alloy and immersion time; returns the rows of summary.csv."""
+        times = self.scene.with_intact()
+        if times != self.scene.immersion:
+            self.progress.note(
+                "time zero was not asked for; the intact screw is pulled too, for the strength ratio"
+            )
+        names = [alloy.name for alloy in self.scene.alloys]
+        self.geometry()
+        for name in names:
+            self.corrode(name)
+        for name in names:
+            for moment in times:
+                self.map(name, moment)
+        self.pull([(name, moment) for name in names for moment in times])
+        rows = self.summarise()
+        self.report()
+        return rows
+
+    def geometry(self) -> StageRecord:
+        """Solid and tetrahedral mesh."""
+        from pipeline.geometry_stage import write_geometry
+
+        folder = self.folder.geometry
+        return self._do(
+            "geometry",
+            "geometry",
+            folder,
+            geometry_hash(self.scene),
+            lambda: write_geometry(self.scene, folder, self._solid),
+        )
+
+    def corrode(self, alloy: str) -> StageRecord:
+        """Corrosion of one alloy, one march through all immersion times."""
+        from pipeline.corrosion_stage import corrode_in_folder
+
+        self._needs("geometry", self.folder.geometry, geometry_hash(self.scene))
+        key, folder = f"corrode {alloy}", self.folder.corrosion(alloy)
+        inputs = corrosion_hash(self.scene, alloy)
+        return self._do(
+            "corrode",
+            key,
+            folder,
+            inputs,
+            lambda: corrode_in_folder(
+                self.scene,
+                alloy,
+                self.folder.geometry,
+                folder,
+                lambda fraction, text="": self.progress.advanced(key, fraction, text),
+            ),
+        )
+
+    def map(self, alloy: str, moment: ImmersionTime) -> StageRecord:
+        """Corrosion damage of one alloy after one immersion time at the quadrature points."""
+        from pipeline.map_stage import map_in_folder
+
+        self._needs("geometry", self.folder.geometry, geometry_hash(self.scene))
+        corrosion = self.folder.corrosion(alloy)
+        self._needs("corrode", corrosion, corrosion_hash(self.scene, alloy))
+        folder = self.folder.immersion(alloy, moment.label)
+        return self._do(
+            "map",
+            f"map {alloy} {moment.label}",
+            folder,
+            map_hash(self.scene, alloy, moment),
+            lambda: map_in_folder(
+                self.scene, alloy, moment, self.folder.geometry, corrosion, folder
+            ),
+        )
+
+    def pull(self, cases: Iterable[tuple[str, ImmersionTime]]) -> list[StageRecord]:
+        """Tensile tests of alloys after immersion times, several at a time."""
+        cases = {f"pull {alloy} {moment.label}": (alloy, moment) for alloy, moment in cases}
+        jobs: dict[str, TensileJob] = {}
+        for key, (alloy, moment) in cases.items():
+            folder = self.folder.immersion(alloy, moment.label)
+            self._needs("map", folder, map_hash(self.scene, alloy, moment))
+            if self.folder.complete(folder, "pull", pull_hash(self.scene, alloy, moment)):
+                self.progress.reused(key)
+                continue
+            self.folder.forget(folder, "pull")
+            jobs[key] = TensileJob(
+                geometry=str(self.folder.geometry),
+                damage=str(folder),
+                out=str(folder),
+                material=self.scene.alloy(alloy).material,
+                tensile=self.scene.tensile,
+            )
+
+        def finished(key: str, seconds: float) -> None:
+            alloy, moment = cases[key]
+            folder = self.folder.immersion(alloy, moment.label)
+            inputs = pull_hash(self.scene, alloy, moment)
+            outputs = [folder / RESULT_FILE, folder / CURVE_FILE]
+            self._complete("pull", folder, inputs, seconds, (outputs, read_result(folder)))
+            self.progress.finished(key, seconds)
+
+        run_jobs(
+            jobs,
+            ranks=self.ranks,
+            workers=min(self.workers, max(1, len(jobs))),
+            started=self.progress.started,
+            advanced=self.progress.advanced,
+            finished=finished,
+        )
+        records = [
+            self.folder.read_record(self.folder.immersion(alloy, moment.label), "pull")
+            for alloy, moment in cases.values()
+        ]
+        return [record for record in records if record is not None]
+
+    def summarise(self) -> list[SummaryRow]:
+        """Write summary.csv from the finished stages and return its rows."""
+        rows = []
+        intact = self.scene.with_intact()[0]
+        for alloy in self.scene.alloys:
+            corrosion = self._needs(
+                "corrode", self.folder.corrosion(alloy.name), corrosion_hash(self.scene, alloy.name)
+            )
+            losses = corrosion.numbers["volume_loss"]
+            reference = self._pulled(alloy.name, intact)["peak_force"]
+            for moment, loss in zip(self.scene.with_intact(), losses, strict=True):
+                if moment not in self.scene.immersion:
+                    continue
+                folder = self.folder.immersion(alloy.name, moment.label)
+                mapped = self._needs("map", folder, map_hash(self.scene, alloy.name, moment))
+                pulled = self._pulled(alloy.name, moment)
+                rows.append(
+                    SummaryRow(
+                        alloy=alloy.name,
+                        immersion_days=moment.days,
+                        volume_loss=float(loss),
+                        mean_corrosion_damage=float(mapped.numbers["mean_corrosion_damage"]),
+                        peak_force_N=pulled["peak_force"],
+                        strength_ratio=pulled["peak_force"] / reference,
+                        elongation_at_peak=pulled["elongation_at_peak"],
+                        status=pulled["status"],
+                    )
+                )
+        write_summary(self.folder.summary_file, rows)
+        return rows
+
+    def report(self) -> StageRecord:
+        """The report in one HTML file."""
+        from pipeline.report import write_report
+
+        def work() -> Outcome:
+            return [Path(write_report(self.folder.path))], {}
+
+        inputs = content_hash("report", self.scene.to_json(), utc_now())
+        return self._do("report", "report", self.folder.path, inputs, work)
+
+    def _pulled(self, alloy: str, moment: ImmersionTime) -> dict:
+        folder = self.folder.immersion(alloy, moment.label)
+        return self._needs("pull", folder, pull_hash(self.scene, alloy, moment)).numbers
+
+    def _needs(self, stage: str, folder: Path, inputs: str) -> StageRecord:
+        """The record of an earlier stage; refuses to go on without it."""
+        record = self.folder.complete(folder, stage, inputs)
+        if record is None:
+            where = folder.relative_to(self.folder.path)
+            raise RunFolderError(
+                f"stage '{stage}' of '{where}' is not complete in run folder "
+                f"'{self.folder.path}'; run `perilife {stage}` on it first"
+            )
+        return record
+
+    def _do(
+        self, stage: str, key: str, folder: Path, inputs: str, work: Callable[[], Outcome]
+    ) -> StageRecord:
+        """Do a stage unless it is complete, and write its record last."""
+        record = self.folder.complete(folder, stage, inputs)
+        if record is not None:
+            self.progress.reused(key)
+            return record
+        folder.mkdir(parents=True, exist_ok=True)
+        self.folder.forget(folder, stage)
+        self.progress.started(key)
+        begin = time.perf_counter()
+        outcome = work()
+        seconds = time.perf_counter() - begin
+        record = self._complete(stage, folder, inputs, seconds, outcome)
+        self.progress.finished(key, seconds)
+        return record
+
+    def _complete(
+        self, stage: str, folder: Path, inputs: str, seconds: float, outcome: Outcome
+    ) -> StageRecord:
+        outputs, numbers = outcome
+        record = StageRecord(
+            stage=stage,
+            inputs=inputs,
+            seconds=round(seconds, 3),
+            finished=utc_now(),
+            outputs=tuple(str(path.relative_to(self.folder.path)) for path in outputs),
+            numbers=numbers,
+            versions=machine.package_versions(),
+        )
+        self.folder.write_record(folder, record)
+        return record

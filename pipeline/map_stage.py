@@ -1,0 +1,81 @@
+"""The map stage: corrosion damage f0 at the quadrature points of the mesh of the intact solid."""
+
+import os
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from fem.quadrature import quadrature_points
+from peri.results import read_corrosion
+from pipeline.corrosion_stage import CORROSION_FILE
+from pipeline.damage_map import map_damage
+from pipeline.mesh import read_mesh
+from pipeline.scene import Scene
+from pipeline.units import ImmersionTime
+
+DAMAGE_FILE = "damage.h5"
+SCHEMA_VERSION = 1
+
+
+def map_in_folder(
+    scene: Scene, alloy: str, moment: ImmersionTime, geometry: Path, corrosion: Path, out: Path
+) -> tuple[list[Path], dict[str, object]]:
+    """Map the field of one immersion time and write damage.h5; returns the files and numbers.
+
+    The numbers compare what is lost on lattice and mesh (MODEL.md 6), both as fractions of the
+    solid: `lost_on_lattice` is the volume mean of 1 - C/C_solid over the initial metal,
+    `lost_on_mesh` the same over the mesh before f0 is cut off at 1/q1.
+    """
+    mesh = read_mesh(geometry)
+    fields = read_corrosion(corrosion / CORROSION_FILE)
+    number = int(np.flatnonzero(fields["times"] == moment.seconds)[0])
+    material = scene.alloy(alloy).material
+    solid = float(fields["solid_concentration"])
+    points, weights = quadrature_points(mesh.points, mesh.cells, scene.tensile.element)
+    lattice = (fields["lattice/origin"], fields["lattice/spacing"])
+    concentration, metal = fields["concentration"][number], fields["metal"]
+
+    def damage(maximum: float) -> np.ndarray:
+        return map_damage(
+            points, *lattice, concentration, metal, solid, maximum_damage=maximum
+        )
+
+    corrosion_damage = damage(1.0 / material.q1)
+    uncut = damage(1.0)
+    volume = weights.sum()
+    capacity = np.where(metal, fields["capacity"], 0.0)
+    lost_on_lattice = float((capacity * (1.0 - concentration / solid)).sum() / capacity.sum())
+    lost_on_mesh = float((uncut * weights).sum() / volume)
+    numbers = {
+        "mean_corrosion_damage": float((corrosion_damage * weights).sum() / volume),
+        "maximum_corrosion_damage": float(corrosion_damage.max()),
+        "share_at_maximum": float(
+            weights[corrosion_damage >= 1.0 / material.q1 - 1e-12].sum() / volume
+        ),
+        "lost_on_lattice": lost_on_lattice,
+        "lost_on_mesh": lost_on_mesh,
+        "lost_difference": lost_on_mesh / lost_on_lattice - 1.0 if lost_on_lattice else 0.0,
+    }
+    write_damage(out / DAMAGE_FILE, corrosion_damage, moment, scene.tensile.element)
+    return [out / DAMAGE_FILE], numbers
+
+
+def write_damage(path: Path, damage: np.ndarray, moment: ImmersionTime, element: str) -> None:
+    """Store f0 (nc, nq), in the order of the mesh's cells, in one step."""
+    temporary = path.with_name(f".{path.name}.tmp")
+    with h5py.File(temporary, "w") as file:
+        file.attrs["schema_version"] = SCHEMA_VERSION
+        file.attrs["element"] = element
+        file.attrs["immersion"] = moment.label
+        file.attrs["immersion_seconds"] = moment.seconds
+        data = file.create_dataset("f0", data=damage, compression="lzf")
+        data.attrs["unit"] = "1"
+        data.attrs["dimensions"] = "cell, quadrature point"
+    os.replace(temporary, path)
+
+
+def read_damage(path: Path) -> np.ndarray:
+    """f0 (nc, nq) as `write_damage` stored it."""
+    with h5py.File(path) as file:
+        return file["f0"][:]

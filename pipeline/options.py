@@ -1,0 +1,156 @@
+"""Command-line options that describe a scene, and how they become one."""
+
+import argparse
+import dataclasses
+from pathlib import Path
+
+from pipeline.resolution import RESOLUTIONS
+from pipeline.scene import (
+    BOUNDARIES,
+    CALIBRATIONS,
+    DOMAIN_SHAPES,
+    GRIPS,
+    SATURATIONS,
+    TIME_SCHEMES,
+    DomainSettings,
+    Scene,
+    ScrewGeometry,
+    SolidFile,
+)
+from pipeline.screw import THREADS, ScrewParameters
+from pipeline.units import METRES_PER, parse_length, parse_time
+
+_SCREW_LENGTHS = ("diameter", "length", "pitch", "slot_width", "slot_depth")
+
+
+def add_scene_options(parser: argparse.ArgumentParser) -> None:
+    """Add every option from which `scene_from_options` builds the scene."""
+    parser.add_argument(
+        "--alloy", nargs="+", required=True, metavar="A", help="alloy name, or TOML file of one"
+    )
+    parser.add_argument(
+        "--immersion", nargs="+", required=True, metavar="T", help="rising times: 8w, 56d, 36h"
+    )
+    parser.add_argument(
+        "--resolution", default="quick", metavar="R", help=f"{', '.join(RESOLUTIONS)} (quick)"
+    )
+    parser.add_argument(
+        "--parameters", metavar="SET", help="published parameter set, or TOML file of one"
+    )
+    parser.add_argument(
+        "--volume-loss",
+        action="append",
+        default=[],
+        metavar="ALLOY=FILE",
+        help="measured volume loss (CSV), plotted beside the result; may be repeated",
+    )
+    screw = parser.add_argument_group("geometry (lengths with unit: 2mm, 100um)")
+    for name in _SCREW_LENGTHS:
+        screw.add_argument(f"--{name.replace('_', '-')}", metavar="LENGTH")
+    screw.add_argument("--thread", metavar="KIND", help=", ".join(THREADS))
+    screw.add_argument("--solid", metavar="FILE", help="closed solid instead: STEP, BREP or STL")
+    screw.add_argument("--unit", metavar="U", help=f"of the solid: {', '.join(METRES_PER)} (mm)")
+    corrosion = parser.add_argument_group("corrosion, where the preset is not wanted")
+    corrosion.add_argument("--spacing", metavar="LENGTH", help="lattice spacing")
+    corrosion.add_argument("--horizon", metavar="LENGTH")
+    corrosion.add_argument("--step", metavar="TIME", help="fixed time step (controlled)")
+    corrosion.add_argument("--rate-change", type=float, metavar="X", help="step control")
+    corrosion.add_argument("--scheme", metavar="S", help=", ".join(TIME_SCHEMES))
+    corrosion.add_argument("--saturation", metavar="S", help=", ".join(SATURATIONS))
+    corrosion.add_argument("--calibration", metavar="C", help=", ".join(CALIBRATIONS))
+    corrosion.add_argument("--domain", metavar="SHAPE", help=", ".join(DOMAIN_SHAPES))
+    corrosion.add_argument("--boundary", metavar="B", help=", ".join(BOUNDARIES))
+    corrosion.add_argument("--radial-margin", metavar="LENGTH", help="liquid beside the solid")
+    corrosion.add_argument("--axial-margin", metavar="LENGTH", help="liquid above and below it")
+    tensile = parser.add_argument_group("tensile test, where the preset is not wanted")
+    tensile.add_argument("--mesh-size", metavar="LENGTH", help="edge length in the bulk")
+    tensile.add_argument("--mesh-size-fine", metavar="LENGTH", help="at thread and slot")
+    tensile.add_argument("--element", metavar="E")
+    tensile.add_argument("--grips", metavar="G", help=", ".join(GRIPS))
+    tensile.add_argument("--final-strain", type=float, metavar="X", help="nominal (0.1)")
+    tensile.add_argument("--increment", type=float, metavar="X", help="largest strain increment")
+
+
+def scene_from_options(options: argparse.Namespace) -> Scene:
+    """Build the scene that the options describe; ValueError or OSError with one sentence."""
+    from pipeline.resolve import DEFAULT_PARAMETER_SET, resolve_scene
+
+    def length(name: str) -> float | None:
+        text = getattr(options, name)
+        return None if text is None else parse_length(text, name.replace("_", " "))
+
+    def given(**names: str) -> dict[str, object]:
+        values = {field: getattr(options, name) for field, name in names.items()}
+        return {field: value for field, value in values.items() if value is not None}
+
+    corrosion = given(
+        scheme="scheme",
+        saturation="saturation",
+        calibration="calibration",
+        rate_change="rate_change",
+    )
+    if options.step is not None:
+        corrosion["step"] = parse_time(options.step, "step").seconds
+    return resolve_scene(
+        options.alloy,
+        options.immersion,
+        options.resolution,
+        parameter_set=options.parameters or DEFAULT_PARAMETER_SET,
+        geometry=_geometry(options),
+        spacing=length("spacing"),
+        horizon=length("horizon"),
+        mesh_size=length("mesh_size"),
+        mesh_size_fine=length("mesh_size_fine"),
+        domain=_domain(options),
+        corrosion=corrosion,
+        tensile=given(
+            element="element", grips="grips", final_strain="final_strain", increment="increment"
+        ),
+        measured_volume_loss=_measured(options),
+    )
+
+
+def _geometry(options: argparse.Namespace) -> ScrewGeometry | SolidFile:
+    from pipeline.resolve import solid_file
+
+    screw = {
+        name: parse_length(getattr(options, name), name.replace("_", " "))
+        for name in _SCREW_LENGTHS
+        if getattr(options, name) is not None
+    }
+    if options.thread is not None:
+        screw["thread"] = options.thread
+    if options.solid is None:
+        if options.unit is not None:
+            raise ValueError("--unit goes with --solid, which must be given too")
+        return ScrewGeometry(ScrewParameters(**screw))
+    if screw:
+        name = next(iter(screw)).replace("_", "-")
+        raise ValueError(f"--{name} describes the parametric screw and must not join --solid")
+    return solid_file(options.solid, options.unit or "mm")
+
+
+def _domain(options: argparse.Namespace) -> DomainSettings | None:
+    changes = {
+        name: parse_length(getattr(options, name), name.replace("_", " "))
+        for name in ("radial_margin", "axial_margin")
+        if getattr(options, name) is not None
+    }
+    if options.domain is not None:
+        changes["shape"] = options.domain
+    if options.boundary is not None:
+        changes["boundary"] = options.boundary
+    return dataclasses.replace(DomainSettings(), **changes) if changes else None
+
+
+def _measured(options: argparse.Namespace) -> dict[str, str]:
+    import perilife_data
+
+    files: dict[str, str] = {}
+    for text in options.volume_loss:
+        alloy, equals, path = text.partition("=")
+        if not equals or not alloy or not path:
+            raise ValueError(f"volume loss '{text}' is not understood; write ALLOY=FILE.csv")
+        perilife_data.read_volume_loss_csv(path)
+        files[alloy] = str(Path(path).resolve())
+    return files

@@ -1,0 +1,281 @@
+"""What a run would compute, what it leaves out and why, how long it takes, how much it needs.
+
+Everything here follows from the scene and its solid alone; nothing is computed or written.
+"""
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from fem.quadrature import ELEMENTS
+from peri.influence import diffusion_stencil
+from pipeline import machine
+from pipeline.corrosion_stage import domain_lattice, liquid_domain
+from pipeline.scene import Scene, SceneError
+from pipeline.surface import Solid
+from pipeline.units import format_bytes, format_length, format_seconds
+
+CELLS_PER_FEATURE = 2
+"""Lattice cells that the smallest feature of a solid must span."""
+
+BASE_MEMORY = 400e6
+"""Bytes of an idle process with the libraries loaded (measured)."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One piece of the plan: what it is, its size in words, seconds and bytes expected."""
+
+    stage: str
+    what: str
+    size: str
+    seconds: float
+    memory: float
+    disk: float
+
+
+@dataclass(frozen=True)
+class Omission:
+    """Something that is not computed, why, and a bound of the error of leaving it out."""
+
+    what: str
+    reason: str
+    error: str
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Tasks in their order, omissions, and the totals."""
+
+    tasks: tuple[Task, ...]
+    omissions: tuple[Omission, ...]
+    nodes: int
+    unknowns: int
+    seconds: float
+    memory: float
+    disk: float
+
+    def to_json(self) -> dict:
+        """Plain mapping of the plan."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Measured on two cores at 2.6 GHz: what a plan multiplies its counts with.
+
+    corrosion: seconds and bytes per node and march; tensile: seconds per unknown of a whole pull
+    and bytes per unknown of one process; mesh: seconds per cell; disk: bytes per node and time.
+    """
+
+    corrosion_seconds_per_node: float = 2.0e-4
+    corrosion_bytes_per_node: float = 600.0
+    tensile_seconds_per_unknown: float = 3.0e-3
+    tensile_bytes_per_unknown: float = 1.0e4
+    mesh_seconds_per_cell: float = 5.0e-5
+    solid_seconds: float = 5.0
+    map_seconds_per_cell: float = 2.0e-5
+    disk_bytes_per_node: float = 24.0
+    disk_bytes_per_unknown: float = 200.0
+
+
+COST = Cost()
+
+
+def make_plan(scene: Scene, solid: Solid | None = None, workers: int | None = None) -> Plan:
+    """Plan a scene; builds the solid when it is not given.
+
+    Raises ValueError with one sentence when the lattice is too coarse for the solid.
+    """
+    if solid is None:
+        from pipeline.geometry_stage import build_solid
+
+        solid = build_solid(scene)
+    check_lattice(scene, solid)
+    nodes, metal, bonds = _lattice_counts(scene, solid)
+    cells, unknowns, quadrature = _mesh_counts(scene, solid)
+    workers = workers or machine.processor_cores()
+    times = scene.with_intact()
+    pulls = len(scene.alloys) * len(times)
+    tasks = [
+        Task(
+            "geometry",
+            solid.name,
+            f"about {cells:,} tetrahedra of {format_length(scene.mesh.size_fine)} to "
+            f"{format_length(scene.mesh.size)}",
+            COST.solid_seconds + COST.mesh_seconds_per_cell * cells,
+            BASE_MEMORY + 2e3 * cells,
+            2e6 + 200.0 * cells,
+        )
+    ]
+    labels = ", ".join(time.label for time in times)
+    for alloy in scene.alloys:
+        tasks.append(
+            Task(
+                "corrode",
+                alloy.name,
+                f"{nodes:,} nodes ({metal:,} metal), {bonds} bonds each, {labels}",
+                COST.corrosion_seconds_per_node * nodes,
+                BASE_MEMORY + COST.corrosion_bytes_per_node * nodes,
+                COST.disk_bytes_per_node * nodes * len(times),
+            )
+        )
+    tasks.append(
+        Task(
+            "map",
+            f"{pulls} damage maps",
+            f"{quadrature:,} quadrature points each",
+            COST.map_seconds_per_cell * cells * pulls,
+            BASE_MEMORY + 100.0 * quadrature,
+            8.0 * quadrature * pulls,
+        )
+    )
+    at_once = min(workers, pulls)
+    tasks.append(
+        Task(
+            "pull",
+            f"{pulls} tensile tests, {at_once} at a time",
+            f"{unknowns:,} unknowns each ({scene.tensile.element})",
+            COST.tensile_seconds_per_unknown * unknowns * -(-pulls // at_once),
+            at_once * (BASE_MEMORY + COST.tensile_bytes_per_unknown * unknowns),
+            COST.disk_bytes_per_unknown * unknowns * pulls,
+        )
+    )
+    return Plan(
+        tasks=tuple(tasks),
+        omissions=tuple(_omissions(scene)),
+        nodes=nodes,
+        unknowns=unknowns,
+        seconds=sum(task.seconds for task in tasks),
+        memory=max(task.memory for task in tasks),
+        disk=sum(task.disk for task in tasks),
+    )
+
+
+def check_lattice(scene: Scene, solid: Solid) -> None:
+    """Refuse a lattice that is too coarse for the smallest feature of the solid."""
+    limit = solid.smallest_feature / CELLS_PER_FEATURE
+    if scene.lattice.spacing > limit * (1 + 1e-9):
+        raise SceneError(
+            f"lattice spacing is {format_length(scene.lattice.spacing)}; it must be at most "
+            f"{format_length(limit)}, half of the smallest feature of the {solid.name}"
+        )
+
+
+def check_resources(scene: Scene, solid: Solid, folder: Path, workers: int | None = None) -> Plan:
+    """Refuse, before anything is written, what this machine has no memory or disk for.
+
+    Returns the plan.  Raises MemoryError or OSError with one sentence.
+    """
+    plan = make_plan(scene, solid, workers)
+    available = machine.available_memory()
+    if plan.memory > available:
+        task = max(plan.tasks, key=lambda item: item.memory)
+        raise MemoryError(
+            f"stage {task.stage} needs about {format_bytes(task.memory)} of memory "
+            f"({task.size}) and {format_bytes(available)} are available; choose a coarser "
+            "resolution or a smaller domain"
+        )
+    free = machine.free_disk(folder)
+    if plan.disk > free:
+        raise OSError(
+            f"the run needs about {format_bytes(plan.disk)} on the disk that holds '{folder}' "
+            f"and {format_bytes(free)} are free"
+        )
+    return plan
+
+
+def print_plan(plan: Plan) -> None:
+    """Print the plan for a reader."""
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(width=None if Console().is_terminal else 120)
+    table = Table(title="What would be computed")
+    for column in ("stage", "what", "size", "time", "memory"):
+        table.add_column(column, justify="right" if column in ("time", "memory") else "left")
+    for task in plan.tasks:
+        table.add_row(
+            task.stage,
+            task.what,
+            task.size,
+            format_seconds(task.seconds),
+            format_bytes(task.memory),
+        )
+    console.print(table)
+    table = Table(title="What is left out")
+    for column in ("what", "why", "error"):
+        table.add_column(column)
+    for omission in plan.omissions:
+        table.add_row(omission.what, omission.reason, omission.error)
+    console.print(table)
+    console.print(
+        f"nodes {plan.nodes:,}, unknowns {plan.unknowns:,}, about "
+        f"{format_seconds(plan.seconds)}, memory {format_bytes(plan.memory)}, "
+        f"disk {format_bytes(plan.disk)}"
+    )
+
+
+def _lattice_counts(scene: Scene, solid: Solid) -> tuple[int, int, int]:
+    """Nodes of the domain, metal nodes (from the volume), bonds of a node."""
+    domain = liquid_domain(scene, solid.points)
+    box = np.prod((np.subtract(domain.upper, domain.lower)) / scene.lattice.spacing)
+    if box > 1e8:
+        # too many to list one by one: the volume of the region says how many there are
+        share = np.pi / 6 if domain.shape == "ball" else np.pi / 4
+        nodes = int(box * share)
+    else:
+        nodes = int(domain_lattice(scene, domain)[1].sum())
+    lattice = domain_lattice(scene, domain)[0] if box <= 1e8 else None
+    metal = round(solid.volume / scene.lattice.spacing**3)
+    if lattice is None:
+        ratio = scene.lattice.horizon / scene.lattice.spacing
+        return nodes, metal, round(4 / 3 * np.pi * (ratio + 0.5) ** 3)
+    settings = scene.corrosion
+    stencil = diffusion_stencil(
+        lattice,
+        scene.lattice.horizon,
+        settings.kernel_exponent,
+        settings.influence,
+        settings.calibration,
+    )
+    return nodes, metal, stencil.bonds
+
+
+def _mesh_counts(scene: Scene, solid: Solid) -> tuple[int, int, int]:
+    """Cells, displacement unknowns and quadrature points that the mesh sizes will give.
+
+    A tetrahedron of edge h fills 0.118 h^3 when regular; meshes measured here have 1.1 times as
+    many cells.  The fine size counts near the surface, over about twice the mesh size.
+    """
+    size, fine = scene.mesh.size, scene.mesh.size_fine
+    near = min(1.0, solid.area * size / solid.volume)
+    per_volume = near / (0.5 * (size + fine)) ** 3 + (1 - near) / size**3
+    cells = max(12, round(1.1 * solid.volume / 0.118 * per_volume))
+    element = ELEMENTS[scene.tensile.element]
+    points = cells / 4.5 if element.order == 1 else 1.6 * cells
+    return cells, 3 * round(points), cells * element.points
+
+
+def _omissions(scene: Scene) -> list[Omission]:
+    found = [
+        Omission(
+            "diffusion within the metal",
+            "D_sol is 0 in the bi-material model (dissertation 2.3.3)",
+            "part of the model",
+        ),
+        Omission(
+            "liquid beyond the domain",
+            "the published parameters belong to this domain; its outermost layer, one horizon "
+            "wide, holds refreshed medium"
+            if scene.domain.boundary == "refreshed"
+            else "nothing crosses the edge of the domain",
+            "part of the scene",
+        ),
+    ]
+    if scene.immersion[0].seconds == 0 and len(scene.immersion) == 1:
+        found.append(Omission("corrosion", "only time zero is asked for", "none"))
+    if not scene.tensile.whole_curve:
+        found.append(Omission("the curve past the peak", "only the strength is asked for", "none"))
+    return found
