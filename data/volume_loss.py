@@ -61,8 +61,9 @@ def read_volume_loss_csv(path: str | Path) -> VolumeLossData:
         if line.strip() and not line.lstrip().startswith("#")
     ]
     if len(lines) < 2:
-        raise ValueError(f"{path}: has no measurements; a row of column names and one row of "
-                         "numbers at least are needed")  # fmt: skip
+        raise ValueError(
+            f"{path}: has no measurements; it needs a row of column names and a row of numbers"
+        )
     delimiter = ";" if ";" in lines[0][1] else ","
     rows = [
         (number, [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter))])
@@ -81,13 +82,11 @@ def read_volume_loss_csv(path: str | Path) -> VolumeLossData:
     times, losses = data["immersion time"], data["volume loss"]
     deviations = data.get("standard deviation")
     for (number, cells), earlier, time in zip(rows[1:], [0.0, *times[:-1]], times, strict=True):
-        where = f"{path}, line {number}"
+        where, cell = f"{path}, line {number}", cells[names.index("immersion time")]
         if time < 0:
-            raise ValueError(f"{where}: immersion time is negative in '{', '.join(cells)}'; "
-                             "it must be at least 0")  # fmt: skip
+            raise ValueError(f"{where}: immersion time is {cell}; it must be at least 0")
         if time < earlier:
-            raise ValueError(f"{where}: immersion time is below that of the row before; "
-                             "times must not fall")  # fmt: skip
+            raise ValueError(f"{where}: immersion time is {cell}, below the row before")
     _check_range(losses, 0.0, 1.0, "volume loss", rows[1:], path)
     if deviations is not None:
         _check_range(deviations, 0.0, 1.0, "standard deviation", rows[1:], path)
