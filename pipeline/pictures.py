@@ -19,9 +19,13 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from pipeline.run_results import RunResults
 
 logger = logging.getLogger(__name__)
 
@@ -108,7 +112,9 @@ def screw_picture(
     facing = np.array([np.cos(turn), np.sin(turn), 0.0])
     left = intact
     if damage.max() >= GONE * maximum_damage:
-        left = intact.clip_scalar("corrosion_damage", value=GONE * maximum_damage, invert=True)
+        left = intact.clip_scalar(
+            scalars="corrosion_damage", value=GONE * maximum_damage, invert=True
+        )
     if cut and left.n_cells:
         left = left.clip(normal=facing, origin=(0.0, 0.0, 0.0), invert=True)
 
@@ -220,6 +226,70 @@ def render_pictures(
     lines = [line.strip() for line in child.stderr.splitlines() if line.strip()]
     reason = lines[-1] if lines else "no message"
     return f"rendering stopped with exit code {child.returncode}: {reason[:200]}"
+
+
+def write_overview(
+    run: RunResults, pictures: dict[tuple[str, str, bool], Path], path: Path
+) -> None:
+    """Combine pictures over time and alloys with the strength curve in one PNG, for print.
+
+    pictures: PNG files by alloy, label of the immersion time and whether cut, as rendered; the cut
+    ones are shown.  Pictures that are not there leave their place empty.
+    """
+    from matplotlib import image as images
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LinearSegmentedColormap, Normalize
+    from matplotlib.figure import Figure
+
+    from pipeline.plots import ALLOY_COLOURS, draw_strength
+    from pipeline.units import parse_time
+
+    labels = sorted({label for _, label, _ in pictures}, key=lambda text: parse_time(text).seconds)
+    rows, columns = len(run.alloys), len(labels)
+    figure = Figure(figsize=(1.15 * columns + 4.6, 1.85 * rows + 0.75), dpi=150)
+    left, right = figure.subfigures(1, 2, width_ratios=[1.15 * columns, 4.6])
+    grid = left.subplots(rows, columns, squeeze=False)
+    left.subplots_adjust(left=0.07, right=1.0, bottom=0.17, top=0.92, wspace=0.02, hspace=0.04)
+    for axes_row, alloy, colour in zip(grid, run.alloys, ALLOY_COLOURS, strict=False):
+        axes_row[0].text(
+            -0.12,
+            0.5,
+            alloy.name,
+            rotation=90,
+            transform=axes_row[0].transAxes,
+            ha="right",
+            va="center",
+            color=colour,
+            fontsize=11,
+            fontweight="bold",
+        )
+        for axes, label in zip(axes_row, labels, strict=True):
+            axes.set_axis_off()
+            place = pictures.get((alloy.name, label, True))
+            if place is not None and place.is_file():
+                axes.imshow(images.imread(place), interpolation="lanczos")
+    for axes, label in zip(grid[0], labels, strict=True):
+        axes.set_title(label.replace("w", " w"), fontsize=10)
+    scale = left.add_axes((0.25, 0.085, 0.6, 0.022))
+    colours = ScalarMappable(
+        Normalize(0.0, MAXIMUM_DAMAGE), LinearSegmentedColormap.from_list("corrosion", DAMAGE_COLOURS)
+    )
+    bar = left.colorbar(colours, cax=scale, orientation="horizontal", ticks=[0, 1 / 3, 2 / 3])
+    bar.ax.set_xticklabels(["0: sound", "0.33", "0.67: carries nothing"], fontsize=8)
+    bar.outline.set_visible(False)
+    bar.ax.set_title("Corrosion damage, screws cut in half", fontsize=8.5, pad=3)
+    axes = right.subplots()
+    right.subplots_adjust(left=0.15, right=0.96, bottom=0.17, top=0.92)
+    draw_strength(axes, run.alloys, ALLOY_COLOURS)
+    axes.set_xlim(left=0)
+    axes.grid(color="#dddddd", lw=0.6)
+    axes.spines[["top", "right"]].set_visible(False)
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(frameon=False)
+    part = path.with_name(path.name + ".part")
+    FigureCanvasAgg(figure).print_png(part)
+    os.replace(part, path)
 
 
 def write_png(image: NDArray[np.uint8], path: Path, *, colours: int | None = None) -> None:
