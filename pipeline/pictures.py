@@ -1,8 +1,8 @@
 """Pictures of the corroded solid, rendered off screen with VTK.
 
-`screw_picture` renders one state of a tetrahedral mesh with a corrosion damage per node.  A crash of
-a graphics library must not take a finished computation with it, so the report renders through
-`render_pictures`, which does the same in a child process and says in one sentence what went wrong.
+`screw_picture` renders one state of a tetrahedral mesh with a corrosion damage per node.  A crash
+of a graphics library must not take a finished computation with it, so the report renders through
+`render_pictures`, which does the same in a child process and says in one sentence what failed.
 `write_overview` combines pictures and the strength curve in one PNG.
 
 `python -m pipeline.pictures JOB.npz` is that child process.
@@ -52,7 +52,7 @@ def damage_at_points(
 
     Returns
     -------
-    (n,) corrosion damage; 0 at points that no cell uses.  Bounded by the values of the cells around.
+    (n,) corrosion damage, within the range of the cells around; 0 at points that no cell uses.
     """
     damage = np.asarray(cell_damage, dtype=float).reshape(len(cells), -1).mean(axis=1)
     corner = points[cells]
@@ -77,8 +77,8 @@ def screw_picture(
 ) -> NDArray[np.uint8]:
     """Render the metal that is left, coloured by corrosion damage, on a transparent background.
 
-    Metal at `maximum_damage` carries nothing and is not drawn; with `outline` the intact solid stands
-    around what is left as a faint shell.  All pictures of one mesh have the same camera and scale.
+    Metal at `maximum_damage` carries nothing and is not drawn; with `outline` the intact solid
+    stands around what is left as a faint shell.  All pictures of one mesh have one camera and scale.
 
     Parameters
     ----------
@@ -171,7 +171,10 @@ def _add_lights(plotter: object, pyvista: object, turn: float) -> None:
     for angle, height, intensity in ((-0.6, 0.9, 0.75), (0.9, 0.2, 0.35), (0.0, 3.0, 0.25)):
         position = (5.0 * np.cos(turn + angle), 5.0 * np.sin(turn + angle), 5.0 * height)
         light = pyvista.Light(
-            position=position, focal_point=(0.0, 0.0, 0.0), intensity=intensity, light_type="scene light"
+            position=position,
+            focal_point=(0.0, 0.0, 0.0),
+            intensity=intensity,
+            light_type="scene light",
         )
         light.positional = False
         plotter.add_light(light)
@@ -273,7 +276,8 @@ def write_overview(
         axes.set_title(label.replace("w", " w"), fontsize=10)
     scale = left.add_axes((0.25, 0.085, 0.6, 0.022))
     colours = ScalarMappable(
-        Normalize(0.0, MAXIMUM_DAMAGE), LinearSegmentedColormap.from_list("corrosion", DAMAGE_COLOURS)
+        Normalize(0.0, MAXIMUM_DAMAGE),
+        LinearSegmentedColormap.from_list("corrosion", DAMAGE_COLOURS),
     )
     bar = left.colorbar(colours, cax=scale, orientation="horizontal", ticks=[0, 1 / 3, 2 / 3])
     bar.ax.set_xticklabels(["0: sound", "0.33", "0.67: carries nothing"], fontsize=8)
@@ -292,16 +296,13 @@ def write_overview(
     os.replace(part, path)
 
 
-def write_png(image: NDArray[np.uint8], path: Path, *, colours: int | None = None) -> None:
-    """Write an RGBA picture, with `colours` reduced to a palette (a third of the bytes)."""
+def write_png(image: NDArray[np.uint8], path: Path) -> None:
+    """Write an RGBA picture, in one step."""
     from PIL import Image
 
-    picture = Image.fromarray(image)
-    if colours:
-        picture = picture.quantize(colours, method=Image.Quantize.FASTOCTREE)
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(path.name + ".part")
-    picture.save(part, format="PNG", optimize=True)
+    Image.fromarray(image).save(part, format="PNG", optimize=True)
     os.replace(part, path)
 
 
@@ -314,7 +315,7 @@ def _child(job: Path) -> None:
             image = screw_picture(
                 points, cells, stored[f"damage_{n}"], cut=entry["cut"], size=tuple(size)
             )
-            write_png(image, Path(entry["path"]), colours=256)
+            write_png(image, Path(entry["path"]))
 
 
 if __name__ == "__main__":

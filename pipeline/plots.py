@@ -13,6 +13,7 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+from matplotlib.ticker import MultipleLocator
 
 from perilife_data import VolumeLossData
 from pipeline.run_results import AlloyResult, column
@@ -90,7 +91,7 @@ def volume_loss_plot(
                 color=style["color"],
                 label=f"{alloy.name}, measured",
             )
-    axes.set_xlabel(f"Immersion time ({unit})")
+    _time_ticks(axes, unit)
     axes.set_ylabel("Volume loss (%)")
     _finish(axes, zero=True)
     return _svg(figure, "volume-loss", "Volume loss in per cent against immersion time")
@@ -130,7 +131,7 @@ def draw_strength(axes: Axes, alloys: Sequence[AlloyResult], colours: Sequence[s
             clip_on=False,
             zorder=4,
         )
-    axes.set_xlabel(f"Immersion time ({unit})")
+    _time_ticks(axes, unit)
     axes.set_ylabel("Strength left (%)")
     axes.set_ylim(0, max(105.0, axes.get_ylim()[1]))
 
@@ -157,6 +158,16 @@ def force_elongation_plot(alloy: AlloyResult, name: str, most_force: float) -> s
     axes.set_xlim(left=0)
     _finish(axes, zero=False, legend="best", columns=2 if len(tested) > 3 else 1)
     return _svg(figure, f"curves-{name}", f"Force against elongation of {alloy.name}")
+
+
+def _time_ticks(axes: Axes, unit: str) -> None:
+    """Label the time axis, with ticks where people expect them: every 4 weeks, every 7 days."""
+    axes.set_xlabel(f"Immersion time ({unit})")
+    axes.set_xlim(left=0)
+    steps = {"weeks": (1, 2, 4, 8, 12, 26, 52), "days": (1, 2, 7, 14), "hours": (1, 2, 6, 12, 24)}
+    fitting = [s for s in steps.get(unit, ()) if 3 <= axes.get_xlim()[1] / s <= 9]
+    if fitting:
+        axes.xaxis.set_major_locator(MultipleLocator(fitting[0]))
 
 
 def _figure() -> tuple[Figure, Axes]:
@@ -199,7 +210,12 @@ def _finish(axes: Axes, *, zero: bool, legend: str = "best", columns: int = 1) -
         axes.set_ylim(bottom=0)
     if axes.get_legend_handles_labels()[0]:
         axes.legend(
-            loc=legend, fontsize=8.5, frameon=False, labelcolor=_INK, ncols=columns, handlelength=2.4
+            loc=legend,
+            fontsize=8.5,
+            frameon=False,
+            labelcolor=_INK,
+            ncols=columns,
+            handlelength=2.4,
         )
 
 

@@ -43,8 +43,8 @@ _UNITS = {
     "hardening_capacity": "Pa",
 }
 _LENGTHS = (
-    "diameter length pitch minor_diameter root_diameter slot_width slot_depth spacing horizon radial_margin axial_margin size "
-    "size_fine"
+    "diameter length pitch minor_diameter root_diameter slot_width slot_depth spacing horizon "
+    "radial_margin axial_margin size size_fine"
 ).split()
 
 

@@ -8,6 +8,7 @@ import base64
 import logging
 import math
 import platform
+import re
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -85,6 +86,7 @@ def write_report(run_folder: Path | str) -> Path:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters.update(symbol=_symbol, unit=_unit)
     page = environment.get_template("report.html.j2").render(
         title=" and ".join(a.name for a in run.alloys),
         solid=_solid_in_words(run),
@@ -231,11 +233,25 @@ def _table_row(alloy: AlloyResult, item: ImmersionResult) -> dict[str, object]:
         "force": _or_dash(row.peak_force_N, _force),
         "ratio": _or_dash(row.strength_ratio, percent),
         "bar": 0.0 if ratio is None else 100.0 * min(max(ratio, 0.0), 1.0),
-        "elongation": _or_dash(row.elongation_at_peak, lambda v: percent(v, 1))
-        if ratio
-        else "–",
+        "elongation": _or_dash(row.elongation_at_peak, lambda v: percent(v, 1)) if ratio else "–",
         "status": _status(row.status),
     }
+
+
+def _symbol(text: str) -> Markup:
+    """`D_int` with int as an index; `q1` likewise."""
+    match = re.fullmatch(r"(\w)_?(\w+)", text)
+    return Markup("<i>{}</i><sub>{}</sub>").format(*match.groups()) if match else _italic(text)
+
+
+def _italic(text: str) -> Markup:
+    return Markup("<i>{}</i>").format(text)
+
+
+def _unit(text: str) -> str:
+    """`mol/m^3` with a raised 3, `1e-5` left alone."""
+    raised = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
+    return re.sub(r"\^(-?\d+)", lambda match: match.group(1).translate(raised), text)
 
 
 def _or_dash(value: float, write) -> str:
@@ -270,7 +286,7 @@ def _pictures(run: RunResults) -> tuple[list[tuple[str, list[PictureColumn]]], s
         columns = []
         for item in times_shown(alloy) if places else []:
             ratio = item.strength_ratio
-            caption = "" if ratio is None else f"{percent(ratio)} of strength left"
+            caption = "" if ratio is None else f"{percent(ratio)} left"
             if ratio == 0.0 and item.summary:
                 caption = _status(item.summary.status)
             views = [_embed(places[alloy.name, item.label, c], alloy, item, c) for c in (0, 1)]

@@ -165,7 +165,9 @@ def full(tmp_path_factory, mesh):
     """A complete run with measured points for one alloy, and its report."""
     path = tmp_path_factory.mktemp("report") / "run"
     data = path.parent / "mine.csv"
-    data.write_text("immersion time [w], volume loss [%], standard deviation [%]\n4, 9.5, 1\n8,14,2\n")
+    data.write_text(
+        "immersion time [w], volume loss [%], standard deviation [%]\n4, 9.5, 1\n8,14,2\n"
+    )
     scene = scene_of(measured_volume_loss={"Mg-5Gd": str(data)})
     write_run(path, scene, *mesh)
     return path, *page_of(path)
@@ -323,7 +325,7 @@ def test_drawing_leaves_matplotlib_as_it_was():
 
 def test_one_png_is_written_whole_or_not_at_all(tmp_path):
     image = np.zeros((8, 6, 4), np.uint8)
-    pictures.write_png(image, tmp_path / "new" / "a.png", colours=16)
+    pictures.write_png(image, tmp_path / "new" / "a.png")
     assert [p.name for p in (tmp_path / "new").iterdir()] == ["a.png"]
     with Image.open(io.BytesIO((tmp_path / "new" / "a.png").read_bytes())) as picture:
         assert picture.size == (6, 8)
