@@ -1,0 +1,450 @@
+"""The tensile test: mesh, damage and material in, force-elongation curve and strength out.
+
+Axial displacement is prescribed on both grips (5.4 of the dissertation: zero at one end, growing to
+10 % of the length at the other), quasi-static, in adaptive increments. Departure from the source:
+implicit equilibrium instead of an explicit code; cells at f_max are removed instead of kept.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from mpi4py import MPI
+
+from fem import compat
+from fem.assembly import Assembler
+from fem.constitutive.gurson import LIMIT
+from fem.constitutive.material import Material
+from fem.discretisation import Discretisation, build
+from fem.newton import EquilibriumSolver
+from fem.quadrature import Element, find_element
+from fem.quadrature_state import QuadratureState
+from fem.solid import Grips, Held, Remains, destinations, guide_vertices, remains
+from fem.solvers import SOLVERS, LinearSolver
+
+log = logging.getLogger(__name__)
+
+_EASY, _HARD = 5, 8  # Newton iterations below which increments grow, above which they shrink
+
+
+@dataclass(frozen=True)
+class TensileSettings:
+    """How the test is run. Strains are elongation over the length of the whole solid.
+
+    element: "P1", "P2" or "P2-Fbar". The test ends at `maximum_strain`, or, unless `full_curve`,
+    once the force has fallen by the fraction `peak_drop` below its peak. `tolerance` is that of the
+    residual force relative to the largest reaction. threads: None takes the processors there are
+    when the communicator has one rank, and one otherwise.
+    """
+
+    element: str = "P2"
+    maximum_strain: float = 0.1
+    first_increment: float = 0.002
+    maximum_increment: float = 0.005
+    minimum_increment: float = 1e-6
+    peak_drop: float = 0.02
+    full_curve: bool = False
+    tolerance: float = 1e-5
+    maximum_iterations: int = 12
+    linear_solver: str = "auto"
+    grips: Grips = field(default_factory=Grips)
+    threads: int | None = None
+
+    def __post_init__(self) -> None:
+        find_element(self.element)
+        for name, low, high in (
+            ("maximum_strain", 0.0, 10.0),
+            ("first_increment", 0.0, 10.0),
+            ("maximum_increment", 0.0, 10.0),
+            ("minimum_increment", 0.0, 10.0),
+            ("peak_drop", 0.0, 1.0),
+            ("tolerance", 0.0, 0.1),
+        ):
+            value = getattr(self, name)
+            if not low < value <= high:
+                raise ValueError(f"tensile {name} is {value}; it must be above {low} and at most {high}")
+        if not self.minimum_increment <= self.first_increment:
+            raise ValueError(
+                f"tensile first_increment is {self.first_increment}; it must be at least "
+                f"minimum_increment, {self.minimum_increment}"
+            )
+        if self.maximum_iterations < 1:
+            raise ValueError(f"tensile maximum_iterations is {self.maximum_iterations}; at least 1")
+        if self.linear_solver not in SOLVERS:
+            raise ValueError(
+                f"tensile linear_solver is {self.linear_solver!r}; allowed are {', '.join(SOLVERS)}"
+            )
+        if self.threads is not None and self.threads < 1:
+            raise ValueError(f"tensile threads is {self.threads}; it must be at least 1")
+
+
+@dataclass
+class TensileResult:
+    """Outcome of a test, the same on every rank.
+
+    status: "past_peak" (the force fell by `peak_drop`), "completed" (to the full strain),
+    "severed", "fully_corroded" (no test was possible: force 0), or "stopped: ..." with the reason
+    why the curve ends early. history: one array per quantity, one entry per point of the curve.
+    """
+
+    elongation: np.ndarray  # [m]
+    force: np.ndarray  # [N]
+    length: float  # of the solid [m]
+    peak_force: float  # [N]
+    elongation_at_peak: float  # [m]
+    status: str
+    cells: int = 0
+    dead_cells: int = 0  # removed before the test: f at its limit at every point
+    loose_cells: int = 0  # removed before the test: not joined to both grips
+    loose_pieces: int = 0
+    lost_cells: int = 0  # removed during the test
+    history: dict[str, np.ndarray] = field(default_factory=dict)
+    cost: dict[str, float] = field(default_factory=dict)
+    displacement: np.ndarray | None = None  # (n, 3) of the input's vertices at the end [m], rank 0
+
+
+Progress = Callable[[float, str], None]
+
+
+def tensile_test(
+    points: np.ndarray | None,
+    cells: np.ndarray | None,
+    f0: np.ndarray | None,
+    material: Material,
+    settings: TensileSettings | None = None,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    progress: Progress | None = None,
+) -> TensileResult:
+    """Pull a solid and return its force-elongation curve.
+
+    Parameters
+    ----------
+    points: (n, 3) vertices [m]; cells: (nc, 4); f0: (nc, nq) damage variable in [0, f_max] at the
+    points of `fem.quadrature.quadrature_points`, or (nc,) or a scalar. Read on rank 0 only.
+
+    Raises ValueError for input outside its range. Results do not depend on the number of ranks
+    beyond the solver tolerance (tests/fem/test_parallel.py).
+    """
+    settings = settings or TensileSettings()
+    element = find_element(settings.element)
+    error, prepared = None, None
+    if comm.rank == 0:
+        try:
+            prepared = _prepare(points, cells, f0, material, settings.grips, element, comm.size)
+        except ValueError as problem:
+            error = str(problem)
+    error = comm.bcast(error)
+    if error is not None:
+        raise ValueError(error)
+    summary = comm.bcast(prepared.summary() if comm.rank == 0 else None)
+    if summary["severed"]:
+        zero = np.zeros(1)
+        status = "fully_corroded" if summary["counts"]["dead_cells"] == summary["counts"]["cells"] else "severed"
+        return TensileResult(zero, zero.copy(), summary["held"].length, 0.0, 0.0, status, **summary["counts"])
+    return _Test(comm, prepared, summary, material, settings, element).run(progress)
+
+
+@dataclass
+class _Prepared:
+    """What rank 0 knows of the input."""
+
+    points: np.ndarray
+    cells: np.ndarray
+    damage: np.ndarray
+    held: Held
+    left: Remains
+    guides: list[tuple[int, int]]
+    plan: tuple[np.ndarray, np.ndarray]
+    kept: np.ndarray  # original numbers of the kept cells
+
+    def summary(self) -> dict:
+        """The small part that every rank needs."""
+        counts = {
+            "cells": len(self.cells),
+            "dead_cells": self.left.dead,
+            "loose_cells": self.left.loose_cells,
+            "loose_pieces": self.left.loose_pieces,
+        }
+        return {
+            "severed": self.left.severed,
+            "held": self.held,
+            "guides": self.guides,
+            "counts": counts,
+        }
+
+
+def _prepare(points, cells, f0, material, grips, element, ranks) -> _Prepared:
+    points = np.ascontiguousarray(points, float)
+    cells = np.ascontiguousarray(cells, np.int64)
+    if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+        raise ValueError(f"points have shape {points.shape}; finite (n, 3) coordinates in m are needed")
+    if cells.ndim != 2 or cells.shape[1] != 4 or not len(cells):
+        raise ValueError(f"cells have shape {cells.shape}; (nc, 4) vertex numbers are needed")
+    if cells.min() < 0 or cells.max() >= len(points):
+        raise ValueError(f"cells name vertex {cells.max()}; there are {len(points)}")
+    damage = np.asarray(f0, float)
+    shape = (len(cells), element.points)
+    if damage.ndim == 1 and damage.shape == (len(cells),):
+        damage = damage[:, None]
+    if damage.ndim == 2 and damage.shape != shape and damage.shape != (len(cells), 1):
+        raise ValueError(f"f0 has shape {damage.shape}; element {element.name} needs {shape}")
+    damage = np.array(np.broadcast_to(damage, shape))
+    limit = material.maximum_damage
+    if not (np.isfinite(damage).all() and damage.min() >= 0 and damage.max() <= limit * (1 + 1e-9)):
+        raise ValueError(
+            f"f0 runs from {damage.min()} to {damage.max()}; it must lie in [0, 1/q1 = {limit:.6g}]"
+        )
+    held = Held.of(points, grips)
+    parameters = material.parameters()
+    alive = ~(damage >= parameters[LIMIT]).all(axis=1)
+    bottom, top = held.at_bottom(points), held.at_top(points)
+    left = remains(cells, alive, bottom, top)
+    guides: list[tuple[int, int]] = []
+    if not left.severed and grips.lateral == "free":
+        guides = guide_vertices(points, cells, left.pieces, bottom)
+    kept = np.flatnonzero(left.kept)
+    plan = destinations(points, cells[kept], ranks) if len(kept) else (np.zeros(0), np.zeros(1))
+    return _Prepared(
+        points, cells, np.minimum(damage, parameters[LIMIT]), held, left, guides, plan, kept
+    )
+
+
+class _Test:
+    """One test on one communicator."""
+
+    def __init__(self, comm, prepared, summary, material, settings: TensileSettings, element: Element):
+        self.started = time.perf_counter()
+        self.comm, self.settings, self.summary = comm, settings, summary
+        self.prepared, self.held = prepared, summary["held"]
+        threads = settings.threads or (os.cpu_count() or 1 if comm.size == 1 else 1)
+        root = comm.rank == 0
+        local = compat.distribute(
+            comm,
+            *self._compact() if root else (None, None),
+            prepared.plan if root else None,
+            element.order,
+        )
+        self.discretisation = build(local, element, threads)
+        self.assembler = Assembler(self.discretisation, material, threads)
+        self.state = QuadratureState(self._scatter_damage())
+        self.limit = material.parameters()[LIMIT]
+        self.top = self.held.at_top(local.coordinates)
+        self.fixed = self._fixed_unknowns()
+        self.linear = LinearSolver(comm, self.discretisation, settings.linear_solver)
+        self.solver = EquilibriumSolver(
+            comm, self.assembler, self.linear, self.state, self.fixed, self.top,
+            settings.tolerance, settings.maximum_iterations,
+        )  # fmt: skip
+        self.setup_seconds = time.perf_counter() - self.started
+        self.lost_cells = 0
+
+    def _compact(self) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices in use and kept cells numbered by them; `self.vertices` leads back."""
+        cells = self.prepared.cells[self.prepared.kept]
+        self.vertices, numbered = np.unique(cells, return_inverse=True)
+        return self.prepared.points[self.vertices], numbered.reshape(-1, 4)
+
+    def _scatter_damage(self) -> np.ndarray:
+        """Rows of f0 of the local cells, from rank 0."""
+        wanted = self.comm.gather(self.discretisation.original_cells)
+        parts = None
+        if self.comm.rank == 0:
+            damage = self.prepared.damage[self.prepared.kept]
+            parts = [damage[numbers] for numbers in wanted]
+        return self.comm.scatter(parts)
+
+    def _fixed_unknowns(self) -> np.ndarray:
+        mesh = self.discretisation.mesh
+        bottom = self.held.at_bottom(mesh.coordinates)
+        fixed = np.zeros((len(mesh.coordinates), 3), bool)
+        fixed[bottom | self.top, 2] = True
+        if self.settings.grips.lateral == "clamped":
+            fixed[bottom | self.top] = True
+        vertices = self.comm.bcast(self.vertices if self.comm.rank == 0 else None)
+        for vertex, direction in self.summary["guides"]:
+            number = int(np.searchsorted(vertices, vertex))
+            fixed[mesh.input_vertices == number, direction] = True
+        return fixed
+
+    def run(self, progress: Progress | None) -> TensileResult:
+        """March to the end of the test."""
+        s, length = self.settings, self.held.length
+        displacement = np.zeros_like(self.discretisation.coordinates)
+        previous, previous_size = None, 0.0
+        strain, size, status = 0.0, min(s.first_increment, s.maximum_strain), "completed"
+        rows: list[dict[str, float]] = [self._row(0.0, 0.0, 0, 0, 0.0, 0.0, 0.0)]
+        halvings, peak, work, dissipated = 0, 0.0, 0.0, 0.0
+        while strain < s.maximum_strain * (1 - 1e-12):
+            size = min(size, s.maximum_strain - strain)
+            outcome, tried = self._increment(
+                displacement, strain + size, size, previous, previous_size
+            )
+            if outcome is None or not outcome.converged:
+                reason = "no prediction" if outcome is None else outcome.reason
+                log.info("strain %.5f: %s, halving the increment", strain + size, reason)
+                size *= 0.5
+                halvings += 1
+                if size < s.minimum_increment:
+                    status = f"stopped: {reason} at strain {strain:.5f}"
+                    break
+                if halvings % 2 == 0:
+                    previous = None
+                continue
+            previous, previous_size = tried - displacement, size
+            displacement = tried
+            strain += size
+            self.state.commit()
+            work += 0.5 * (rows[-1]["force"] + outcome.force) * size * length
+            dissipated += outcome.dissipated
+            rows.append(
+                self._row(strain * length, outcome.force, outcome.iterations, halvings, work,
+                          outcome.stored, dissipated)
+            )  # fmt: skip
+            log.info("strain %.5f force %.5g N, %d iterations", strain, outcome.force, outcome.iterations)
+            peak = max(peak, outcome.force)
+            if progress is not None and self.comm.rank == 0:
+                progress(strain / s.maximum_strain, f"strain {strain:.4f}, force {outcome.force:.4g} N")
+            if self._remove_dead():
+                previous = None
+                if self._parted():
+                    status = "past_peak"
+                    rows.append(self._row(strain * length, 0.0, 0, 0, work, 0.0, dissipated))
+                    break
+            if not s.full_curve and outcome.force < (1.0 - s.peak_drop) * peak:
+                status = "past_peak"
+                break
+            if outcome.iterations <= _EASY and halvings == 0:
+                size = min(1.5 * size, s.maximum_increment)
+            elif outcome.iterations > _HARD:
+                size *= 0.7
+            halvings = 0
+        result = self._result(rows, status, displacement)
+        self.linear.destroy()
+        return result
+
+    def _increment(self, displacement, strain, size, previous, previous_size):
+        """Predict and solve; returns (outcome or None, displacement)."""
+        prescribed = np.zeros_like(displacement)
+        prescribed[self.top, 2] = size * self.held.length
+        if previous is not None:
+            guess = displacement + previous * (size / previous_size)
+            guess[self.top, 2] = strain * self.held.length
+            outcome, tried = self.solver.solve(guess)
+            if outcome.converged or outcome.reason != "inverted cell in the prediction":
+                return outcome, tried
+        guess = self.solver.predict(displacement, prescribed)
+        if guess is None:
+            return None, displacement
+        return self.solver.solve(guess)
+
+    def _row(self, elongation, force, iterations, halvings, work, stored, dissipated):
+        damage = self.state.old.damage
+        largest = float(damage.max()) if damage.size else 0.0
+        strain = self.state.old.strain
+        plastic = float(strain.max()) if strain.size else 0.0
+        return {
+            "elongation": elongation,
+            "force": force,
+            "iterations": iterations,
+            "halvings": halvings,
+            "work": work,
+            "stored": stored,
+            "dissipated": dissipated,
+            "largest_damage": self.comm.allreduce(largest, MPI.MAX),
+            "largest_plastic_strain": self.comm.allreduce(plastic, MPI.MAX),
+            "lost_cells": getattr(self, "lost_cells", 0),
+            "seconds": time.perf_counter() - self.started,
+        }
+
+    def _remove_dead(self) -> bool:
+        """Remove cells whose points all reached the limit, and what they held; True if any."""
+        d, alive = self.discretisation, self.assembler.alive
+        dead = alive & (self.state.old.damage >= self.limit).all(axis=1)
+        newly = int(self.comm.allreduce(int((dead & d.owned).sum())))
+        if newly == 0:
+            return False
+        alive &= ~dead
+        mine = d.original_cells[d.owned & alive]
+        everyone = self.comm.gather(mine)
+        kept = None
+        if self.comm.rank == 0:
+            cells = self.prepared.cells[self.prepared.kept]
+            living = np.zeros(len(cells), bool)
+            living[np.concatenate(everyone)] = True
+            points = self.prepared.points
+            left = remains(cells, living, self.held.at_bottom(points), self.held.at_top(points))
+            kept = left.kept
+        kept = self.comm.bcast(kept)
+        before = int(self.comm.allreduce(int((alive & d.owned).sum())))
+        alive &= kept[d.original_cells]
+        after = int(self.comm.allreduce(int((alive & d.owned).sum())))
+        self.lost_cells += newly + before - after
+        unused = np.ones(len(d.coordinates), bool)
+        unused[d.cells[alive]] = False
+        self.fixed[unused] = True
+        log.info("%d cells reached the largest damage, %d more came loose", newly, before - after)
+        return True
+
+    def _parted(self) -> bool:
+        return not bool(self.comm.allreduce(int(self.assembler.alive.any()), MPI.MAX))
+
+    def _result(self, rows, status, displacement) -> TensileResult:
+        history = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+        elongation, force = history["elongation"], history["force"]
+        statistics = self.linear.statistics
+        cost = {
+            "seconds": time.perf_counter() - self.started,
+            "setup_seconds": self.setup_seconds,
+            "assembly_seconds": self.assembler.seconds,
+            "preconditioner_seconds": statistics.setup_seconds,
+            "solve_seconds": statistics.solve_seconds,
+            "preconditioner_setups": statistics.setups,
+            "linear_solves": statistics.solves,
+            "linear_iterations": statistics.iterations,
+            "fallbacks": statistics.fallbacks,
+            "unknowns": 3 * self.discretisation.mesh.total_nodes,
+        }
+        at, peak = peak_of_curve(elongation, force)
+        return TensileResult(
+            elongation, force, self.held.length, peak, at, status,
+            lost_cells=self.lost_cells, history=history, cost=cost,
+            displacement=self._gather_displacement(displacement), **self.summary["counts"],
+        )  # fmt: skip
+
+    def _gather_displacement(self, displacement: np.ndarray) -> np.ndarray | None:
+        mesh = self.discretisation.mesh
+        owned = np.arange(len(mesh.coordinates)) < mesh.owned_nodes
+        here = owned & (mesh.input_vertices >= 0)
+        parts = self.comm.gather((mesh.input_vertices[here], displacement[here]))
+        if self.comm.rank != 0:
+            return None
+        result = np.full_like(self.prepared.points, np.nan)
+        for vertices, values in parts:
+            result[self.vertices[vertices]] = values
+        return result
+
+
+def peak_of_curve(elongation: np.ndarray, force: np.ndarray) -> tuple[float, float]:
+    """Elongation and force at the peak: the vertex of the parabola through the highest point.
+
+    A peak at the end of the curve is returned as it is.
+    """
+    k = int(np.argmax(force))
+    if k == 0 or k == len(force) - 1:
+        return float(elongation[k]), float(force[k])
+    x, y = elongation[k - 1 : k + 2], force[k - 1 : k + 2]
+    second, first, constant = np.polyfit(x - x[1], y, 2)
+    if second >= 0:
+        return float(x[1]), float(y[1])
+    shift = -0.5 * first / second
+    if not x[0] <= x[1] + shift <= x[2]:
+        return float(x[1]), float(y[1])
+    return float(x[1] + shift), float(constant - 0.25 * first**2 / second)
+
+
+__all__ = ["Discretisation", "TensileResult", "TensileSettings", "peak_of_curve", "tensile_test"]
