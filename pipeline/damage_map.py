@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numba
 import numpy as np
 
-METHODS = ("fitted", "restricted")
+METHODS = ("restricted", "fitted")
 _REACH = 2.0  # spacings: half width of the weights of the fit
 
 
@@ -19,7 +19,7 @@ def map_damage(
     metal: np.ndarray,
     solid_concentration: float,
     maximum_damage: float = 2.0 / 3.0,
-    method: str = "fitted",
+    method: str = "restricted",
 ) -> np.ndarray:
     """Corrosion damage f0 = min(1 - C/C_solid, maximum_damage) at points (..., 3) in m.
 
@@ -29,11 +29,18 @@ def map_damage(
     interpolated, clipped to [0, 1] at the nodes; the bound f_max is applied last. Where all eight
     nodes around a point are metal the interpolation is trilinear. Where some are not:
 
+    - ``restricted`` (default): the trilinear weights of the metal nodes, normalised. This extends
+      the outermost nodes to the surface as constants, which is how the lattice counts its mass
+      (a cut cell's metal belongs to the nearest metal node), so the lost mass agrees best.
     - ``fitted``: a linear function fitted by weighted least squares to the metal nodes of the
       4 x 4 x 4 around the point (moving least squares, weight prod (1 - |x|/2)^2 in spacings),
       kept between the smallest and the largest value of the nodes it used. A linear field is
-      exact up to the surface as long as it stays within those bounds.
-    - ``restricted``: the trilinear weights of the metal nodes, normalised.
+      exact up to the surface as long as it stays within those bounds; the steep field of a
+      corroded layer is extrapolated beyond what the lattice lost.
+
+    Measured on the reference screw, 5 % of the mass lost within a horizon of 200 um, lost mass on
+    a mesh of 120,000 cells against the lattice: restricted -0.4 % at 100 um and -0.3 % at 50 um
+    spacing, fitted +9.9 % and +5.6 %.
 
     A point without metal node in reach takes the mean of the metal nodes at the least distance.
     An intact solid (C == C_solid on all metal nodes) gives exactly 0.
@@ -75,7 +82,7 @@ def lost_volume_on_lattice(
 ) -> float:
     """Metal volume lost (m^3) on the lattice: sum over metal of (1 - C/C_solid) times its volume.
 
-    cell_volumes: metal volume of each node's cell, broadcast to (nx, ny, nz): fraction * dx dy dz.
+    cell_volumes: metal volume (m^3) that each metal node stands for, broadcast to (nx, ny, nz).
     """
     damage = _node_damage(concentration, metal, solid_concentration)
     volumes = np.broadcast_to(np.asarray(cell_volumes, dtype=float), damage.shape)
@@ -98,19 +105,19 @@ def compare_lost_volume(
     spacing: float | Sequence[float],
     concentration: np.ndarray,
     metal: np.ndarray,
-    metal_fraction: np.ndarray,
+    capacity: np.ndarray,
     solid_concentration: float,
-    method: str = "fitted",
+    method: str = "restricted",
 ) -> dict[str, float]:
     """Volume lost (m^3) on both sides, and the difference mesh / lattice - 1.
 
-    points (nc, nq, 3) and weights (nc, nq) are the quadrature of the mesh; metal_fraction is the
-    volume fraction of each node's cell. Keys: lattice_lost_volume, mesh_lost_volume,
-    relative_difference (0 where nothing is lost).
+    points (nc, nq, 3) and weights (nc, nq) are the quadrature of the mesh; capacity (nx, ny, nz)
+    is the metal that each metal node stands for, in cells (its sum is the solid's volume). Keys:
+    lattice_lost_volume, mesh_lost_volume, relative_difference (0 where nothing is lost).
     """
     step = np.broadcast_to(np.asarray(spacing, dtype=float), (3,))
     lattice = lost_volume_on_lattice(
-        concentration, metal, solid_concentration, np.asarray(metal_fraction) * step.prod()
+        concentration, metal, solid_concentration, np.asarray(capacity) * step.prod()
     )
     damage = map_damage(
         points, origin, spacing, concentration, metal, solid_concentration, 1.0, method

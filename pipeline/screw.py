@@ -152,11 +152,12 @@ class ScrewParameters:
         return float(crests[int(np.argmax(self.edge_distance(axial).min(axis=0)))])
 
     def edge_distance(self, axial: np.ndarray) -> np.ndarray:
-        """Axial distance (m) from the nearest edge of the profile: crest to flank to root."""
+        """Axial distance (m) from the nearest edge of the profile or the bottom of the root."""
         axial = np.asarray(axial, dtype=float)
         distance = np.abs(np.mod(axial + self.pitch / 2, self.pitch) - self.pitch / 2)
         crest = self.crest_width / 2
-        return np.minimum(abs(distance - crest), abs(distance - crest - self.flank_width))
+        edges = np.array([crest, crest + self.flank_width, self.pitch / 2])
+        return np.abs(distance[..., None] - edges).min(axis=-1)
 
     def surface_radius(self, angle: np.ndarray, height: np.ndarray) -> np.ndarray:
         """Radius (m) of the threaded surface at an angle (rad) about the axis and a z (m)."""
