@@ -62,7 +62,7 @@ def test_the_bibliography_holds_no_key_that_is_not_used() -> None:
 
 @pytest.mark.parametrize(
     ("alloy", "gadolinium", "expected", "published"),
-    # expected: rounded to 10 mol/m^3, as computed independently in the project's error list
+    # expected: worked out by hand, rounded to 10 mol/m^3
     [("Mg-5Gd", 0.05, 70690, 66082.4), ("Mg-10Gd", 0.10, 69800, 62575.3)],
 )
 def test_solid_concentration_is_that_of_the_right_mixture(
@@ -151,7 +151,7 @@ def test_simulated_body_fluid_is_a_list_of_totals() -> None:
     fluid = perilife_data.load_medium("simulated-body-fluid")
     assert len(fluid.species) == 10
     assert fluid.temperature.si == pytest.approx(310.15, abs=1e-12)
-    # Read as ions the totals are not neutral; ERRATA of Table 5.3: -0.94 mol/m^3.
+    # Read as ions the totals are not neutral: 2 x 2.31 + 142 - 34.88 - 2 x 1.39 - 109.9 = -0.94.
     assert fluid.net_charge() == pytest.approx(-0.94, abs=1e-9)
 
 
