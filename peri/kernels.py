@@ -5,8 +5,28 @@ on every side; the ghosts hold zero.  One- and two-dimensional lattices use the 
 axes.  The callers validate; nothing here does.
 """
 
+import functools
+
 import numpy as np
 from numba import njit, prange
+
+# Below this many elements the threads' start costs more than they save.
+_THREADED_FROM = 150_000
+
+
+def _by_size(function=None, *, fastmath=False):
+    """Compile a loop twice, serial and threaded, and choose by the size of its first array."""
+    if function is None:
+        return lambda f: _by_size(f, fastmath=fastmath)
+    serial = njit(cache=True, fastmath=fastmath)(function)
+    threaded = njit(cache=True, parallel=True, fastmath=fastmath)(function)
+
+    @functools.wraps(function)
+    def choose(first, *rest):
+        return (threaded if first.size >= _THREADED_FROM else serial)(first, *rest)
+
+    return choose
+
 
 # Contraction lets a*b+c become one fused operation; NaN and infinity keep their meaning.
 _CONTRACT = {"contract"}
@@ -124,7 +144,7 @@ def _convolve_tile(u, out, i, j0, j1, low, high, reach, source_a, source_b, shel
                 target[k] += before[k] + after[k]
 
 
-@njit(cache=True, parallel=True)
+@_by_size
 def convolve(u, out, tiles, low, high, reach, source_a, source_b, shell_start, weights,
              shells_used):
     """out_i = sum_j w_ij u_j over the rows' ranges [low, high) of the interior.
@@ -144,7 +164,7 @@ def convolve(u, out, tiles, low, high, reach, source_a, source_b, shell_start, w
 # --- Vector operations over the rows' ranges of padded fields -------------------------------
 
 
-@njit(cache=True, parallel=True, fastmath=_CONTRACT)
+@_by_size(fastmath=_CONTRACT)
 def next_direction(z, p, weight, q, beta, low, high, reach):
     """p = z + beta p;  q = weight p."""
     ra, rb, rc = reach
@@ -159,7 +179,7 @@ def next_direction(z, p, weight, q, beta, low, high, reach):
                 qr[k] = wr[k] * value
 
 
-@njit(cache=True, parallel=True, fastmath=_CONTRACT)
+@_by_size(fastmath=_CONTRACT)
 def diffusion_rows(u, y, weight, diagonal, diffusivity, low, high, reach):
     """y = weight (diagonal u - diffusivity y); returns u . y per plane."""
     ra, rb, rc = reach
@@ -178,7 +198,7 @@ def diffusion_rows(u, y, weight, diagonal, diffusivity, low, high, reach):
     return partial
 
 
-@njit(cache=True, parallel=True, fastmath=_CONTRACT)
+@_by_size(fastmath=_CONTRACT)
 def advance_solution(x, r, p, y, alpha, low, high, reach):
     """x += alpha p;  r -= alpha y;  returns r . r per plane."""
     ra, rb, rc = reach
@@ -198,7 +218,7 @@ def advance_solution(x, r, p, y, alpha, low, high, reach):
     return partial
 
 
-@njit(cache=True, parallel=True, fastmath=_CONTRACT)
+@_by_size(fastmath=_CONTRACT)
 def add_diagonal_and_coarse(r, inverse, coarse, factors, mask, z, low, high, reach):
     """z = mask (inverse r + coarse correction of the cell's aggregate);  returns r . z per plane.
 
@@ -224,7 +244,7 @@ def add_diagonal_and_coarse(r, inverse, coarse, factors, mask, z, low, high, rea
 # --- Multigrid for the local operator; level arrays carry one ghost cell on each side --------
 
 
-@njit(cache=True, parallel=True)
+@_by_size
 def aggregate(fine, margin, factors, coarse):
     """coarse cell = sum of its factors[0] x factors[1] x factors[2] fine cells."""
     ma, mb, mc = margin
@@ -241,7 +261,7 @@ def aggregate(fine, margin, factors, coarse):
                         row[k // fc + 1] += source[k + mc]
 
 
-@njit(cache=True, parallel=True)
+@_by_size
 def prolong_add(coarse, factors, x):
     """x += the value of the coarse cell that each cell belongs to."""
     fa, fb, fc = factors
@@ -252,7 +272,7 @@ def prolong_add(coarse, factors, x):
                 row[k + 1] += line[k // fc + 1]
 
 
-@njit(cache=True, parallel=True, fastmath=_CONTRACT)
+@_by_size(fastmath=_CONTRACT)
 def local_step(x, b, ta, tb, tc, inverse, d, previous, scale):
     """d = previous d + scale inverse (b - A x), A the seven-point operator of conductances t.
 
@@ -277,7 +297,7 @@ def local_step(x, b, ta, tb, tc, inverse, d, previous, scale):
                 dr[k] = previous * dr[k] + scale * ((br[k] + near) * vr[k] - (vr[k] > 0) * xr[k])
 
 
-@njit(cache=True, parallel=True, fastmath=_CONTRACT)
+@_by_size(fastmath=_CONTRACT)
 def local_residual(x, b, ta, tb, tc, diagonal, r):
     """r = b - A x for the seven-point operator."""
     for i in prange(1, x.shape[0] - 1):
@@ -298,7 +318,7 @@ def local_residual(x, b, ta, tb, tc, diagonal, r):
                 rr[k] = br[k] + near - dr[k] * xr[k]
 
 
-@njit(cache=True, parallel=True)
+@_by_size
 def add_to(x, d):
     """x += d."""
     for i in prange(x.shape[0]):

@@ -1,0 +1,393 @@
+"""Bi-material peridynamic corrosion: the spatial problem and its implicit stage.
+
+dC_i/dt = sum_j D_ij w_ij c_j (C_j - C_i), with D_ij = D_liq between liquid nodes, D_int g theta_j
+across the interface (g the kinetics' factor, theta_j the liquid node's saturation factor) and 0
+between metal nodes; c_j is the relative volume of a cell (dissertation 2.3.3, 5.2.1).  The form
+is symmetric, so the amount sum_i c_i C_i changes only by what reaches the refreshed nodes.
+
+A metal node exchanges with liquid nodes only, so it is eliminated exactly: each stage solves for
+the liquid alone.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+
+from peri.corrosion import saturation
+from peri.corrosion.scene import CorrosionScene
+from peri.operators import NonlocalSum
+from peri.solvers import ConvergenceError, DiffusionSystem
+
+log = logging.getLogger(__name__)
+
+_MAXIMUM_ROUNDS = 60
+_LOSS_TOLERANCE = 1e-9
+
+
+class BoundsError(ArithmeticError):
+    """A stage cannot respect 0 <= C <= C_sat (a right side outside the bounds)."""
+
+
+@dataclass
+class Stage:
+    """Solution of one implicit stage Y = old + tau F(Y)."""
+
+    concentration: np.ndarray
+    theta: np.ndarray
+    volume_loss: float
+    release_rate: float
+    iterations: int
+    rounds: int
+
+
+class BiMaterial:
+    """The discrete corrosion problem on padded arrays.
+
+    Parameters
+    ----------
+    scene : CorrosionScene
+    solver_tolerance : float
+        Residual norm relative to the sources at which a linear solution is accepted.
+    """
+
+    def __init__(self, scene: CorrosionScene, solver_tolerance: float = 1e-9) -> None:
+        self.scene = scene
+        self.tolerance = solver_tolerance
+        lattice, stencil = scene.lattice, scene.stencil
+        self.sum = NonlocalSum(stencil, lattice.shape, wanted=scene.domain)
+        fixed = scene.refreshed()
+        self.fixed = self.sum.pad(fixed) > 0
+        self.domain = self.sum.pad(scene.domain) > 0
+        self.capacity = self.sum.pad(scene.capacity())
+        self.metal = self.sum.pad(scene.metal) > 0
+        self.initial_metal = self.metal.copy()
+        self.initial_concentration = np.where(self.metal, scene.solid_concentration, 0.0)
+        self._loss_scale = float(self.capacity[self.metal].sum()) * (
+            scene.solid_concentration - scene.saturation_concentration
+        )
+        self.base_diffusivity = scene.base_interface_diffusivity()
+        self._system: DiffusionSystem | None = None
+        self._make_box()
+        self.update_phase()
+
+    # --- phases ---------------------------------------------------------------------------
+
+    def _make_box(self) -> None:
+        """The part of the lattice within reach of the initial metal, with its own arrays."""
+        interior = self.metal[self.sum.interior]
+        window = []
+        for a, reach in enumerate(self.sum.reach):
+            present = np.flatnonzero(interior.any(axis=tuple(b for b in range(3) if b != a)))
+            if present.size == 0:
+                self.box = None
+                return
+            first = max(0, present[0] - reach)
+            window.append(slice(first, min(interior.shape[a], present[-1] + reach + 1)))
+        padded = [
+            slice(w.start + r, w.stop + r) for w, r in zip(window, self.sum.reach, strict=True)
+        ]
+        self._window = tuple(padded)
+        shape = tuple(w.stop - w.start for w in window)[3 - self.sum.stencil.dimension :]
+        self.box = NonlocalSum(self.sum.stencil, shape)
+
+    def _take(self, values: np.ndarray) -> np.ndarray:
+        out = np.zeros(self.box.padded_shape)
+        out[self.box.interior] = values[self._window]
+        return out
+
+    def update_phase(self) -> None:
+        """Recompute what depends on which nodes are metal."""
+        liquid = self.domain & ~self.metal
+        self.free = liquid & ~self.fixed
+        self.liquid_volume = np.where(liquid, self.capacity, 0.0)
+        self.neighbour_liquid = self.sum(self.liquid_volume)
+        self._system = None
+        if self.box is not None:
+            self.box_metal = self._take(self.metal) > 0
+            self.box_metal_volume = self._take(np.where(self.metal, self.capacity, 0.0))
+            self.box_liquid_volume = self._take(self.liquid_volume)
+            self.box_free_volume = self._take(np.where(self.free, self.capacity, 0.0))
+
+    def dissolve(self, concentration: np.ndarray) -> int:
+        """Turn metal nodes below C_sat into liquid; returns how many."""
+        gone = self.metal & (concentration < self.scene.saturation_concentration)
+        count = int(gone.sum())
+        if count:
+            self.metal &= ~gone
+            self.update_phase()
+        return count
+
+    # --- measures -------------------------------------------------------------------------
+
+    def volume_loss(self, concentration: np.ndarray) -> float:
+        """V_L = 1 - sum_metal c (C - C_sat) / sum_initial metal c (C_solid - C_sat)."""
+        if self._loss_scale == 0:
+            return 0.0
+        values = concentration[self.metal] - self.scene.saturation_concentration
+        left = float(np.dot(values, self.capacity[self.metal]))
+        return min(1.0, max(0.0, 1.0 - left / self._loss_scale))
+
+    def amounts(self, concentration: np.ndarray) -> tuple[float, float]:
+        """Amount in the metal and in the free liquid, mol (per m or m^2 in 2D, 1D)."""
+        volume = self.scene.lattice.cell_volume
+        contents = self.capacity * concentration
+        return volume * float(contents[self.metal].sum()), volume * float(contents[self.free].sum())
+
+    @property
+    def metal_scale(self) -> float:
+        """sum over the initial metal of c C_solid (in cells)."""
+        return float(self.capacity[self.initial_metal].sum()) * self.scene.solid_concentration
+
+    def fastest_rate(self) -> float:
+        """Largest row sum of the operator at zero volume loss, 1/s (bound of its spectrum / 2)."""
+        liquid = self.scene.liquid_diffusivity * self.neighbour_liquid
+        rate = float(liquid[self.free].max(initial=0.0))
+        if self.box is not None:
+            g = self.base_diffusivity * self.scene.kinetics.factor(0.0)
+            to_metal = np.where(self.box_free_volume > 0, self.box(self.box_metal_volume), 0.0)
+            both = to_metal * g + self._take(np.where(self.free, liquid, 0.0))
+            from_metal = np.where(self.box_metal, g * self.box(self.box_liquid_volume), 0.0)
+            rate = max(rate, float(both.max()), float(from_metal.max()))
+        return rate
+
+    def metal_rates(self) -> np.ndarray:
+        """lambda_i = D_int sum_{liquid j} w_ij c_j at zero loss, 1/s, on the lattice.
+
+        In clean liquid (the well-stirred limit) a metal node obeys C' = -lambda g(V_L) C.
+        """
+        if self.box is None:
+            return np.zeros(self.scene.lattice.shape)
+        full = np.zeros(self.sum.padded_shape)
+        rates = self.base_diffusivity * self.box(self.box_liquid_volume)
+        full[self._window] = np.where(self.box_metal, rates, 0.0)[self.box.interior]
+        return self.sum.crop(full)
+
+    # --- implicit stage -------------------------------------------------------------------
+
+    def implicit_stage(
+        self, old: np.ndarray, tau: float, guess: np.ndarray, theta: np.ndarray | None,
+        volume_loss: float,
+    ) -> Stage:
+        """Solve Y = old + tau F(Y), kinetics and saturation included.
+
+        Parameters
+        ----------
+        old : padded array
+            Right side, mol/m^3.
+        tau : float
+            s.
+        guess : padded array
+            Starting value of Y.
+        theta : padded box array or None
+            Starting value of the saturation factors.
+        volume_loss : float
+            Starting value of V_L.
+
+        Raises
+        ------
+        ConvergenceError
+            When the linear solver or the active set does not settle (a shorter step will).
+        """
+        if self.box is None:
+            return self._liquid_only_stage(old, tau, guess)
+        scene = self.scene
+        saturated = scene.saturation_concentration
+        y = np.where(self.free, guess, 0.0)
+        state = _Interface(self, old, tau)
+        if scene.saturation == "as_published":
+            state.switch_off(np.where(self.free & (old >= saturated), self.capacity, 0.0))
+        if theta is None:
+            theta = (self.box_liquid_volume > 0).astype(float)
+        complementary = scene.saturation == "complementarity"
+        active = np.zeros(self.box.padded_shape, bool)
+        if complementary:
+            active = (theta < 1.0) & (self.box_free_volume > 0)
+        total_iterations, settled = 0, False
+        for rounds in range(1, _MAXIMUM_ROUNDS + 1):
+            volume_loss = self._settle_rate(state, theta, volume_loss, self._take(y))
+            if active.any():
+                view = y[self._window]
+                view[active[self.box.interior]] = saturated
+            total_iterations += self._solve_liquid(y, old, tau, state, active)
+            metal = state.metal_concentration(self._take(y))
+            loss = self._loss_of(metal)
+            settled = abs(loss - volume_loss) <= _LOSS_TOLERANCE
+            volume_loss = loss
+            if complementary:
+                needed, available = self._interface_balance(y, old, tau, state, metal, active)
+                new_active, new_theta = saturation.next_active_set(
+                    active, self._take(y), needed, available, saturated
+                )
+                if np.any(needed[new_active] < -1e-9 * available[new_active]):
+                    raise BoundsError("saturation: the stage would need a negative inflow")
+                new_theta = np.where(self.box_liquid_volume > 0, new_theta, 0.0)
+                mismatch = tau * float((np.abs(new_theta - theta) * available)[active].sum())
+                unchanged = np.array_equal(new_active, active)
+                settled &= unchanged and mismatch <= 1e-9 * self.metal_scale * max(1e-3, loss)
+                if settled:
+                    break
+                active, theta = new_active, new_theta
+            elif settled:
+                break
+        if not settled:
+            raise ConvergenceError(
+                f"saturation: the active set did not settle in {_MAXIMUM_ROUNDS} rounds at a "
+                f"step of {tau:.3g} s"
+            )
+        # What an active node takes in is what the metal loses, to round-off.
+        if complementary and active.any():
+            metal = state.correct(metal, np.where(active, new_theta - theta, 0.0), saturated)
+            volume_loss, theta = self._loss_of(metal), new_theta
+        result = np.where(self.free, y, 0.0)
+        view = result[self._window]
+        view[self.box_metal[self.box.interior]] = metal[self.box_metal]
+        release = self._release_rate(y, state, metal)
+        return Stage(result, theta, volume_loss, release, total_iterations, rounds)
+
+    def _settle_rate(self, state, theta, volume_loss, liquid) -> float:
+        """Fix point of loss -> kinetics -> metal -> loss for given liquid concentrations."""
+        for _ in range(_MAXIMUM_ROUNDS):
+            state.set(theta, self.base_diffusivity * self.scene.kinetics.factor(volume_loss))
+            loss = self._loss_of(state.metal_concentration(liquid))
+            if abs(loss - volume_loss) <= 0.1 * _LOSS_TOLERANCE:
+                break
+            volume_loss = loss
+        return volume_loss
+
+    def _loss_of(self, box_metal_concentration: np.ndarray) -> float:
+        values = box_metal_concentration[self.box_metal] - self.scene.saturation_concentration
+        left = float(np.dot(values, self.box_metal_volume[self.box_metal]))
+        return min(1.0, max(0.0, 1.0 - left / self._loss_scale))
+
+    def _liquid_only_stage(self, old, tau, guess) -> Stage:
+        y = np.where(self.free, guess, 0.0)
+        iterations = self._solve_liquid(y, old, tau, None, None)
+        return Stage(y, None, 0.0, self._release_rate(y, None, None), iterations, 1)
+
+    def _solve_liquid(self, y, old, tau, state, active) -> int:
+        """Improve the liquid concentrations y in place; active nodes keep their value."""
+        d = self.scene.liquid_diffusivity
+        held = np.zeros(self.sum.padded_shape, bool)
+        if active is not None and active.any():
+            held[self._window] = active[self.box.interior]
+        weight = np.where(self.free & ~held, self.capacity, 0.0)
+        system = self._linear_system(weight, tau, state, active)
+        gain = np.zeros(self.sum.padded_shape)
+        self.sum(self.liquid_volume * y, gain)
+        r = weight * ((old - y) / tau + d * (gain - self.neighbour_liquid * y))
+        scale = float(np.linalg.norm(weight * old)) / tau
+        if state is not None:
+            source = state.liquid_gain(self._take(y))
+            scale += float(np.linalg.norm(source))
+            source *= self._take(weight > 0)
+            r[self._window] += source[self.box.interior]
+        return system.solve(y, r, self.tolerance * scale)
+
+    def _linear_system(self, weight, tau, state, held) -> DiffusionSystem:
+        d = self.scene.liquid_diffusivity
+        key = (tau, None if held is None else hash(held.tobytes()))
+        if self._system is None or self._system_key != key:
+            diagonal = 1.0 / tau + d * self.neighbour_liquid
+            sink = weight * (diagonal - d * self.sum(weight))
+            extra_diagonal = None
+            if state is not None:
+                extra_diagonal = np.zeros(self.sum.padded_shape)
+                own = state.theta * self.box_free_volume * state.rate * state.seen_metal
+                extra_diagonal[self._window] = own[self.box.interior]
+                extra_diagonal *= weight > 0
+                sink = sink + extra_diagonal * state.storage_share
+            self._system = DiffusionSystem(
+                self.sum, weight, diagonal, d, sink, extra_diagonal=extra_diagonal
+            )
+            self._system_key = key
+        self._system.extra = None if state is None else self._coupling(state, weight)
+        return self._system
+
+    def _coupling(self, state, weight):
+        """The metal's share of the liquid's matrix (it is eliminated), as an in-place update."""
+        unknown = self._take(weight)
+
+        def add(u, y):
+            box_u = np.where(unknown > 0, self._take(u), 0.0)
+            through = state.through_metal(box_u)
+            share = state.theta * unknown * state.rate * (state.seen_metal * box_u - through)
+            y[self._window] += share[self.box.interior]
+            return float(np.vdot(share, box_u))
+
+        return add
+
+    def _interface_balance(self, y, old, tau, state, metal, active):
+        """Inflow that each active node needs to stay at C_sat, and what theta = 1 would bring."""
+        d, saturated = self.scene.liquid_diffusivity, self.scene.saturation_concentration
+        seen = self.box(self.box_metal_volume * metal * state.on)
+        available = self.box_free_volume * state.rate * (seen - state.seen_metal * saturated)
+        gain = self.sum(self.liquid_volume * y)
+        needed = self.capacity * ((y - old) / tau - d * (gain - self.neighbour_liquid * y))
+        return np.where(active, self._take(needed), 0.0), np.maximum(available, 0.0)
+
+    def _release_rate(self, y, state, metal) -> float:
+        """Amount that reaches the refreshed nodes per second, mol/s."""
+        if not self.fixed.any():
+            return 0.0
+        gain = self.sum(self.liquid_volume * y)
+        rate = self.scene.liquid_diffusivity * float((gain * self.capacity)[self.fixed].sum())
+        if state is not None:
+            seen = self.box(self.box_metal_volume * metal * state.on) * state.rate
+            fixed = self._take(np.where(self.fixed, self.capacity, 0.0))
+            rate += float((seen * fixed).sum())
+        return rate * self.scene.lattice.cell_volume
+
+
+class _Interface:
+    """Metal-liquid exchange of one stage on the box around the metal."""
+
+    def __init__(self, problem: BiMaterial, old: np.ndarray, tau: float) -> None:
+        self.p, self.tau = problem, tau
+        self.old_metal = problem._take(old)
+        self.on = problem.box_metal.astype(float)
+        self.seen_metal = problem.box(problem.box_metal_volume)
+
+    def switch_off(self, saturated_volume: np.ndarray) -> None:
+        """Algorithm 1: no exchange for metal nodes that see saturated liquid."""
+        p = self.p
+        neighbours = p.box(p._take(saturated_volume))
+        self.on = saturation.published_switch(neighbours, p.box_metal).astype(float)
+        self.seen_metal = p.box(p.box_metal_volume * self.on)
+
+    def set(self, theta: np.ndarray, rate: float) -> None:
+        """Fix the saturation factors and the interface diffusivity (m^2/s)."""
+        p = self.p
+        self.theta, self.rate = theta, rate
+        self.bonds = theta * p.box_liquid_volume
+        self.outflow = rate * self.on * p.box(self.bonds)
+        self.response = self.on / (1.0 / self.tau + self.outflow)
+        metal = p.box_metal
+        stored = (1.0 / self.tau) / (1.0 / self.tau + self.outflow[metal])
+        self.storage_share = float(stored.mean()) if stored.size else 1.0
+
+    def metal_concentration(self, liquid: np.ndarray) -> np.ndarray:
+        """C_i = (old_i / tau + D sum theta w c C_j) / (1 / tau + D sum theta w c)."""
+        inflow = self.rate * self.on * self.p.box(self.bonds * liquid)
+        value = (self.old_metal / self.tau + inflow) / (1.0 / self.tau + self.outflow)
+        return np.where(self.p.box_metal, value, 0.0)
+
+    def through_metal(self, liquid: np.ndarray) -> np.ndarray:
+        """What liquid values send to each node by way of the metal (weights of the metal in)."""
+        inflow = self.rate * self.p.box(self.bonds * liquid)
+        return self.p.box(self.p.box_metal_volume * self.response * inflow)
+
+    def liquid_gain(self, liquid: np.ndarray) -> np.ndarray:
+        """Net interface inflow of the free liquid nodes for given liquid values."""
+        p = self.p
+        seen = p.box(p.box_metal_volume * self.on * self.metal_concentration(liquid))
+        return self.theta * p.box_free_volume * self.rate * (seen - self.seen_metal * liquid)
+
+    def correct(self, metal: np.ndarray, change: np.ndarray, saturated: float) -> np.ndarray:
+        """Metal after the flux of the active nodes changed by `change` in theta."""
+        p = self.p
+        bonds = change * p.box_free_volume
+        flux = self.rate * self.on * p.box(bonds) * (metal - saturated)
+        return np.where(p.box_metal, metal - self.tau * flux, 0.0)

@@ -1,0 +1,126 @@
+"""Corrosion kinetics: how the interface diffusivity depends on the state of the metal.
+
+Each law gives one factor >= 0 that multiplies the interface diffusivity (or dissolution flux)
+stated at zero volume loss.  A new law is one class with a `factor` method and an entry in
+KINETICS.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from peri.constants import FARADAY, GAS_CONSTANT
+
+
+def _positive(name: str, value: float) -> None:
+    if not (math.isfinite(value) and value > 0):
+        raise ValueError(f"{name}: {value}; it must be finite and positive")
+
+
+@dataclass(frozen=True)
+class ConstantRate:
+    """Factor 1: the interface diffusivity does not change."""
+
+    def factor(self, volume_loss: float) -> float:
+        """1 for every volume loss."""
+        return 1.0
+
+
+@dataclass(frozen=True)
+class VolumeLossLaw:
+    """Factor 10^(-V_L / l) of Eq. 5.13 of the dissertation.
+
+    The law V_L = l log10(1 + t/tau) of a uniformly corroding body (Eq. 5.9 with log read as
+    log10) makes the rate fall by a factor ten per l of volume loss.
+
+    Parameters
+    ----------
+    length : float
+        l, dimensionless like V_L (the tables print m^3), > 0.
+    """
+
+    length: float
+
+    def __post_init__(self) -> None:
+        _positive("length", self.length)
+
+    def factor(self, volume_loss: float) -> float:
+        """10^(-V_L / l)."""
+        return 10.0 ** (-volume_loss / self.length)
+
+
+@dataclass(frozen=True)
+class Tafel:
+    """Factor 10^(eta / beta_a) of Eq. 2.47.
+
+    Parameters
+    ----------
+    overpotential : float
+        eta, V.
+    slope : float
+        Anodic Tafel slope beta_a, V per decade, > 0.
+    """
+
+    overpotential: float
+    slope: float
+
+    def __post_init__(self) -> None:
+        _positive("slope", self.slope)
+        _factor_in_range("overpotential", self.overpotential, self.overpotential / self.slope)
+
+    def factor(self, volume_loss: float) -> float:
+        """10^(eta / beta_a), whatever the volume loss."""
+        return 10.0 ** (self.overpotential / self.slope)
+
+
+@dataclass(frozen=True)
+class ButlerVolmer:
+    """Factor exp(alpha_a z F eta / RT) - exp(-alpha_c z F eta / RT) of Eq. 3.92.
+
+    Parameters
+    ----------
+    overpotential : float
+        eta >= 0, V (below zero the metal would plate out, which the model does not cover).
+    charge_number : float
+        z of the dissolving ion, > 0.
+    anodic_transfer, cathodic_transfer : float
+        alpha_a, alpha_c, > 0.
+    temperature : float
+        K, > 0.
+    """
+
+    overpotential: float
+    charge_number: float = 2.0
+    anodic_transfer: float = 0.5
+    cathodic_transfer: float = 0.5
+    temperature: float = 310.15
+
+    def __post_init__(self) -> None:
+        for name in ("charge_number", "anodic_transfer", "cathodic_transfer", "temperature"):
+            _positive(name, getattr(self, name))
+        if not self.overpotential >= 0:
+            raise ValueError(f"overpotential: {self.overpotential} V; it must be at least 0")
+        _factor_in_range("overpotential", self.overpotential, self._exponent() / math.log(10))
+
+    def _exponent(self) -> float:
+        scaled = self.charge_number * FARADAY / (GAS_CONSTANT * self.temperature)
+        return self.anodic_transfer * scaled * self.overpotential
+
+    def factor(self, volume_loss: float) -> float:
+        """The bracket of Eq. 3.92, whatever the volume loss."""
+        anodic = self._exponent()
+        return math.exp(anodic) - math.exp(-anodic * self.cathodic_transfer / self.anodic_transfer)
+
+
+def _factor_in_range(name: str, value: float, decades: float) -> None:
+    if not abs(decades) <= 100:
+        raise ValueError(f"{name}: {value}; it changes the rate by more than 100 decades")
+
+
+KINETICS = {
+    "constant": ConstantRate,
+    "volume_loss": VolumeLossLaw,
+    "tafel": Tafel,
+    "butler_volmer": ButlerVolmer,
+}

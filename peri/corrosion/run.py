@@ -1,0 +1,332 @@
+"""The corrosion march: from a scene to concentrations at the times asked for."""
+
+from __future__ import annotations
+
+import logging
+import time as clock
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from peri import results
+from peri.corrosion.bimaterial import BiMaterial, BoundsError, Stage
+from peri.corrosion.scene import CorrosionScene
+from peri.marching import GAMMA, TimeStepping, next_step, step_towards
+from peri.solvers import ConvergenceError
+
+log = logging.getLogger(__name__)
+
+HISTORY = (
+    "time", "step", "volume_loss", "metal_amount", "liquid_amount", "released_amount",
+    "balance_error", "saturated_nodes", "dissolved_nodes", "iterations",
+)
+
+
+@dataclass
+class CorrosionResult:
+    """Output of `corrode`.
+
+    times : (nt,), s.  concentration : (nt, *lattice.shape), mol/m^3.  volume_loss : (nt,).
+    metal : (nt, *lattice.shape) bool, nodes that are still metal.
+    history : per step, arrays named as in HISTORY; amounts in mol, balance_error relative to the
+    initial metal, step 0 is the initial state.  wall_time : s.
+    """
+
+    scene: CorrosionScene
+    times: np.ndarray
+    concentration: np.ndarray
+    metal: np.ndarray
+    volume_loss: np.ndarray
+    history: dict[str, np.ndarray]
+    wall_time: float
+
+
+@dataclass
+class _State:
+    """Everything the march carries from step to step (and a checkpoint stores)."""
+
+    time: float
+    concentration: np.ndarray
+    previous: np.ndarray
+    previous_step: float
+    step: float
+    theta: np.ndarray | None
+    volume_loss: float
+    released: float = 0.0
+    history: dict[str, list] = field(default_factory=lambda: {name: [] for name in HISTORY})
+
+
+def corrode(
+    scene: CorrosionScene,
+    times: Sequence[float],
+    stepping: TimeStepping | None = None,
+    *,
+    solver_tolerance: float = 1e-9,
+    progress: Callable[[float, str], None] | None = None,
+    checkpoint: Path | None = None,
+    resume: bool = False,
+    checkpoint_every: float = 30.0,
+) -> CorrosionResult:
+    """March a corrosion scene to the times asked for.
+
+    Conserved: metal + free liquid + released amount, to the linear solver's tolerance relative
+    to the initial metal (history["balance_error"]; tests/peri/test_conservation.py).
+
+    Parameters
+    ----------
+    scene : CorrosionScene
+    times : sequence of float
+        Output times, s, ascending, >= 0; all come from this one march.
+    stepping : TimeStepping
+    solver_tolerance : float
+        Relative residual of the linear solutions.
+    progress : callable(fraction, text)
+    checkpoint : path, optional
+        File that holds the march's state every `checkpoint_every` seconds of wall time.
+    resume : bool
+        Continue from the checkpoint if there is one; it must belong to the same march.
+
+    Raises
+    ------
+    ValueError
+        For bad times, a checkpoint of another march, or an explicit step above its limit.
+    """
+    stepping = stepping or TimeStepping()
+    times = _check_times(times)
+    started = clock.perf_counter()
+    problem = BiMaterial(scene, solver_tolerance)
+    if scene.saturation == "as_published" and stepping.scheme == "sdirk2":
+        raise ValueError(
+            "scheme: 'sdirk2' with saturation 'as_published'; its switch lasts for a step, so "
+            "use backward_euler with a fixed step"
+        )
+    fingerprint = results.fingerprint(scene, times, stepping, solver_tolerance)
+    if stepping.scheme == "forward_euler":
+        _check_explicit_step(problem, stepping)
+    outputs: list[tuple[np.ndarray, np.ndarray, float]] = []
+    if resume and checkpoint is not None and Path(checkpoint).exists():
+        state = _restore(problem, Path(checkpoint), fingerprint, outputs)
+    else:
+        state = _initial(problem, stepping, times)
+        _record(problem, state, 0.0, None, 0)
+    saved = clock.perf_counter()
+    end = times[-1]
+    while True:
+        while len(outputs) < times.size and times[len(outputs)] <= state.time * (1 + 1e-12):
+            outputs.append((
+                problem.sum.crop(state.concentration),
+                problem.sum.crop(problem.metal.astype(float)) > 0,
+                state.volume_loss,
+            ))
+        if progress is not None:
+            progress(
+                state.time / end if end > 0 else 1.0,
+                f"day {state.time / 86400:.1f}, volume loss {100 * state.volume_loss:.2f} %",
+            )
+        if len(outputs) == times.size:
+            break
+        _advance(problem, state, stepping, times[len(outputs)])
+        if checkpoint is not None and clock.perf_counter() - saved > checkpoint_every:
+            _save(problem, state, Path(checkpoint), fingerprint, outputs)
+            saved = clock.perf_counter()
+    return CorrosionResult(
+        scene,
+        times,
+        np.array([c for c, _, _ in outputs]),
+        np.array([m for _, m, _ in outputs]),
+        np.array([v for _, _, v in outputs]),
+        {name: np.array(values) for name, values in state.history.items()},
+        clock.perf_counter() - started,
+    )
+
+
+def _check_times(times) -> np.ndarray:
+    times = np.asarray(list(times), float)
+    if times.size == 0 or not np.all(np.isfinite(times)) or times[0] < 0:
+        raise ValueError(f"times: {times.tolist()} s; give at least one, finite and not negative")
+    if np.any(np.diff(times) <= 0):
+        raise ValueError(f"times: {times.tolist()} s; they must ascend without repetition")
+    return times
+
+
+def _check_explicit_step(problem: BiMaterial, stepping: TimeStepping) -> None:
+    limit = 1.0 / max(problem.fastest_rate(), 1e-300)
+    if stepping.step is not None and stepping.step > limit:
+        raise ValueError(
+            f"step: {stepping.step} s exceeds the explicit stability limit of {limit:.4g} s; "
+            "shorten it or use an implicit scheme"
+        )
+
+
+def _initial(problem: BiMaterial, stepping: TimeStepping, times) -> _State:
+    concentration = problem.initial_concentration.copy()
+    if stepping.step is not None:
+        step = stepping.step
+    elif stepping.scheme == "forward_euler":
+        step = 1.0 / max(problem.fastest_rate(), 1e-300)
+    elif stepping.first_step is not None:
+        step = stepping.first_step
+    else:
+        rate = problem.metal_rates().max(initial=0.0) * problem.scene.kinetics.factor(0.0)
+        step = min(0.01 * times[-1], 0.1 * stepping.rate_change / max(rate, 1e-300))
+    return _State(0.0, concentration, concentration.copy(), 0.0, max(step, 1e-300), None, 0.0)
+
+
+# --- steps ------------------------------------------------------------------------------------
+
+
+def _advance(problem: BiMaterial, state: _State, stepping: TimeStepping, target: float) -> None:
+    """One accepted step, in place."""
+    while True:
+        step = step_towards(state.time, target, state.step)
+        try:
+            new, stages, change = _try_step(problem, state, stepping.scheme, step)
+        except ConvergenceError as error:
+            if step < 1e-9 * target:
+                raise
+            log.info("step of %.3g s rejected: %s", step, error)
+            state.step = 0.25 * step
+            continue
+        if stepping.step is None and stepping.scheme != "forward_euler":
+            if change > 2.5 * stepping.rate_change and step > 1e-9 * target:
+                state.step = next_step(step, change, stepping.rate_change)
+                continue
+            proposal = next_step(step, change, stepping.rate_change)
+            # A step shortened to hit an output time says nothing against the longer one.
+            state.step = max(proposal, state.step if step < state.step else 0.0)
+            state.step = min(state.step, 2.0 * max(step, 0.5 * state.step))
+        elif stepping.step is not None:
+            state.step = stepping.step
+        break
+    last = stages[-1]
+    state.previous, state.previous_step = state.concentration, step
+    state.concentration, state.theta = new, last.theta
+    state.time = target if abs(state.time + step - target) < 1e-9 * step else state.time + step
+    if stepping.scheme == "sdirk2" and len(stages) == 2:
+        rate = (1 - GAMMA) * stages[0].release_rate + GAMMA * stages[1].release_rate
+    else:
+        rate = last.release_rate
+    state.released += step * rate
+    state.volume_loss = problem.volume_loss(new)
+    dissolved = problem.dissolve(new)
+    _record(problem, state, step, stages, dissolved)
+
+
+def _try_step(problem: BiMaterial, state: _State, scheme: str, step: float):
+    """New concentration, its stages, and the relative change of the loss rate in the step."""
+    old = state.concentration
+    if scheme == "forward_euler":
+        new, release, theta = problem.explicit_step(old, step, state.volume_loss)
+        return new, [Stage(new, theta, state.volume_loss, release, 0, 1)], 0.0
+    growth = (step / state.previous_step) if state.previous_step else 0.0
+    slope = old - state.previous
+    if scheme == "backward_euler":
+        guess = _guess(problem, old, slope, growth)
+        stage = problem.implicit_stage(old, step, guess, state.theta, state.volume_loss)
+        predicted = old + growth * slope
+        share = 1.0 / (1.0 + 1.0 / growth) if growth else 1.0
+        change = share * _relative_change(problem, old, stage.concentration, predicted)
+        return stage.concentration, [stage], change
+    guess = _guess(problem, old, slope, GAMMA * growth)
+    first = problem.implicit_stage(old, GAMMA * step, guess, state.theta, state.volume_loss)
+    rate = (first.concentration - old) / GAMMA
+    right = old + (1.0 - GAMMA) * rate
+    guess = _guess(problem, old, rate, 1.0)
+    try:
+        second = problem.implicit_stage(
+            right, GAMMA * step, guess, first.theta, first.volume_loss
+        )
+        new = second.concentration
+        if not _out_of_bounds(problem, old, new):
+            return new, [first, second], _relative_change(problem, old, new, old + rate)
+    except BoundsError as error:
+        log.debug("first-order step of %.3g s: %s", step, error)
+    # The second-order method is not positive for steps that empty or fill a node; this one is.
+    stage = problem.implicit_stage(old, step, guess, state.theta, state.volume_loss)
+    new = stage.concentration
+    return new, [stage], _relative_change(problem, old, new, old + rate)
+
+
+def _guess(problem: BiMaterial, old, slope, factor):
+    """Extrapolated liquid concentrations within their bounds."""
+    return np.clip(old + factor * slope, 0.0, problem.scene.solid_concentration)
+
+
+def _relative_change(problem: BiMaterial, old, new, predicted) -> float:
+    """Amount-weighted difference of two results, relative to what the step dissolved."""
+    metal = problem.metal
+    volume = problem.capacity[metal]
+    progress = float(np.dot(volume, np.abs(new[metal] - old[metal])))
+    if progress <= 1e-14 * problem.metal_scale:
+        return 0.0
+    return float(np.dot(volume, np.abs(new[metal] - predicted[metal]))) / progress
+
+
+def _out_of_bounds(problem: BiMaterial, old, new) -> bool:
+    rounding = 1e-12 * problem.scene.solid_concentration
+    metal = problem.metal
+    if np.any(new[metal] < -rounding) or np.any(new[metal] > old[metal] + rounding):
+        return True
+    return bool(new.min() < -rounding)
+
+
+def _record(problem, state: _State, step, stages, dissolved) -> None:
+    metal, liquid = problem.amounts(state.concentration)
+    history = state.history
+    initial = metal if not history["time"] else history["metal_amount"][0]
+    error = (metal + liquid + state.released - initial) / initial if initial else 0.0
+    saturated = 0
+    if state.theta is not None:
+        saturated = int(((state.theta < 1.0) & (problem.box_free_volume > 0)).sum())
+    row = (
+        state.time, step, state.volume_loss, metal, liquid, state.released, error, saturated,
+        dissolved, sum(s.iterations for s in stages) if stages else 0,
+    )
+    for name, value in zip(HISTORY, row, strict=True):
+        history[name].append(value)
+
+
+# --- checkpoints ------------------------------------------------------------------------------
+
+
+def _save(problem, state: _State, path: Path, fingerprint: str, outputs) -> None:
+    arrays = {
+        "concentration": state.concentration,
+        "previous": state.previous,
+        "metal": problem.metal,
+        "history": np.array([state.history[name] for name in HISTORY], float),
+        "scalars": np.array(
+            [state.time, state.previous_step, state.step, state.volume_loss, state.released]
+        ),
+    }
+    if state.theta is not None:
+        arrays["theta"] = state.theta
+    for n, (concentration, metal, loss) in enumerate(outputs):
+        arrays[f"output{n}/concentration"] = concentration
+        arrays[f"output{n}/metal"] = metal
+        arrays[f"output{n}/volume_loss"] = np.array(loss)
+    results.write_checkpoint(path, fingerprint, arrays)
+
+
+def _restore(problem, path: Path, fingerprint: str, outputs) -> _State:
+    arrays = results.read_checkpoint(path, fingerprint)
+    now, previous_step, step, loss, released = arrays["scalars"]
+    problem.metal = arrays["metal"].astype(bool)
+    problem.update_phase()
+    state = _State(
+        now, arrays["concentration"], arrays["previous"], previous_step, step,
+        arrays.get("theta"), loss, released,
+    )
+    for name, values in zip(HISTORY, arrays["history"], strict=True):
+        state.history[name] = list(values)
+    n = 0
+    while f"output{n}/concentration" in arrays:
+        outputs.append((
+            arrays[f"output{n}/concentration"],
+            arrays[f"output{n}/metal"].astype(bool),
+            float(arrays[f"output{n}/volume_loss"]),
+        ))
+        n += 1
+    return state

@@ -1,0 +1,46 @@
+"""What happens at a liquid node that reaches the saturation concentration.
+
+Complementarity (default): one factor theta_j in [0, 1] scales all interface bonds of liquid node
+j, with 0 <= 1 - theta_j  perpendicular to  C_sat - C_j >= 0.  The active nodes are those held at
+C_sat; their theta follows from their own balance.  A primal-dual active set.
+
+as_published: Algorithm 1 of the dissertation, made symmetric: every interface bond of a metal
+node that sees a liquid node at or above C_sat is off for the step.  Its result depends on the
+step; it is kept for comparison.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def next_active_set(
+    active: np.ndarray,
+    concentration: np.ndarray,
+    needed: np.ndarray,
+    available: np.ndarray,
+    saturation_concentration: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """One primal-dual step: the new active set and theta on it.
+
+    active : bool array, nodes held at C_sat in the last solution.
+    concentration : array, mol/m^3.
+    needed, available : arrays, the interface inflow that keeps a node at C_sat, and the inflow
+        that its bonds would carry with theta = 1 (mol/(m^3 s) times relative volume).
+
+    Returns
+    -------
+    active, theta : an active node stays while what it needs does not exceed what is available;
+        a free node joins when it exceeds C_sat.
+    """
+    stays = active & (needed <= available) & (available > 0)
+    joins = ~active & (concentration > saturation_concentration * (1 + 1e-12))
+    ratio = np.divide(needed, available, out=np.ones_like(needed), where=available > 0)
+    theta = np.where(stays, np.clip(ratio, 0.0, 1.0), 1.0)
+    # A node that joins starts from full bonds; the next round computes its theta.
+    return stays | joins, theta
+
+
+def published_switch(saturated_neighbours: np.ndarray, metal: np.ndarray) -> np.ndarray:
+    """Metal nodes whose interface bonds are on: those that see no saturated liquid node."""
+    return metal & (saturated_neighbours <= 0)

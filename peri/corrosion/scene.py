@@ -1,0 +1,189 @@
+"""What is corroded: lattice, phases, transport, kinetics; validated, immutable."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from peri.corrosion.kinetics import ConstantRate
+from peri.influence import Stencil, diffusion_stencil
+from peri.lattice import Lattice
+
+BOUNDARIES = ("refreshed", "no_flux")
+SATURATION_MODELS = ("complementarity", "as_published", "none")
+
+
+@dataclass(frozen=True)
+class CorrosionScene:
+    """A metal in a liquid on a lattice.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    horizon : float or sequence
+        m.
+    metal : bool array of the lattice's shape
+        Nodes that are metal at the start.
+    domain : bool array, optional
+        Nodes that exist (default: all); the rest of the box is empty.
+    metal_fraction : float array, optional
+        Share of each cell that is metal, 0..1.  Cells then count with their true volume (see
+        `capacity`); without it every cell counts fully.
+    boundary : {"refreshed", "no_flux"}
+        "refreshed": liquid nodes within the horizon of the domain's edge are held at zero
+        concentration.  "no_flux": nothing crosses the edge.
+    solid_concentration, saturation_concentration : float
+        C_solid and C_sat, mol/m^3, 0 < C_sat < C_solid.
+    liquid_diffusivity : float
+        D_liq, m^2/s.
+    interface_diffusivity : float, optional
+        D_int at zero volume loss, m^2/s; either this or
+    dissolution_flux : float, optional
+        the flux i_0/(zF) of a flat front at zero volume loss into clean liquid, mol/(m^2 s), from
+        which D_int follows for the stencil in use: flux = D_int C_solid S, S the stencil's
+        front strength, so that lattice and horizon do not change the rate.
+    kinetics : object with factor(volume_loss)
+    kernel_exponent, influence, calibration :
+        See influence.diffusion_stencil.
+    saturation : {"complementarity", "as_published", "none"}
+
+    Raises
+    ------
+    ValueError
+        One sentence naming field, value and what is allowed.
+    """
+
+    lattice: Lattice
+    horizon: float | tuple[float, ...]
+    metal: np.ndarray = field(repr=False)
+    domain: np.ndarray | None = field(default=None, repr=False)
+    metal_fraction: np.ndarray | None = field(default=None, repr=False)
+    boundary: str = "refreshed"
+    solid_concentration: float = 1.0
+    saturation_concentration: float = 0.5
+    liquid_diffusivity: float = 1e-9
+    interface_diffusivity: float | None = None
+    dissolution_flux: float | None = None
+    kinetics: object = ConstantRate()
+    kernel_exponent: float = 0.0
+    influence: str = "constant"
+    calibration: str = "discrete"
+    saturation: str = "complementarity"
+
+    def __post_init__(self) -> None:
+        shape = self.lattice.shape
+        domain = np.ones(shape, bool) if self.domain is None else self.domain
+        for name, value in (("metal", self.metal), ("domain", domain)):
+            if value.shape != shape or value.dtype != bool:
+                raise ValueError(f"{name}: {value.dtype} {value.shape}; it must be bool {shape}")
+        object.__setattr__(self, "domain", domain)
+        if np.any(self.metal & ~domain):
+            raise ValueError("metal: it must lie inside the domain")
+        if self.metal_fraction is not None:
+            fraction = self.metal_fraction
+            if fraction.shape != shape or not (fraction.min() >= 0 and fraction.max() <= 1):
+                raise ValueError(f"metal_fraction: it must be {shape} with values from 0 to 1")
+        for name, allowed in (("boundary", BOUNDARIES), ("saturation", SATURATION_MODELS)):
+            if getattr(self, name) not in allowed:
+                raise ValueError(
+                    f"{name}: {getattr(self, name)!r}; allowed: {', '.join(allowed)}"
+                )
+        for name in ("solid_concentration", "saturation_concentration", "liquid_diffusivity"):
+            _check_positive(name, getattr(self, name))
+        if not self.saturation_concentration < self.solid_concentration:
+            raise ValueError(
+                f"saturation_concentration: {self.saturation_concentration} mol/m3 must be below "
+                f"solid_concentration {self.solid_concentration} mol/m3"
+            )
+        if (self.interface_diffusivity is None) == (self.dissolution_flux is None):
+            raise ValueError("interface_diffusivity, dissolution_flux: give exactly one of them")
+        for name in ("interface_diffusivity", "dissolution_flux"):
+            value = getattr(self, name)
+            if value is not None and not (math.isfinite(value) and value >= 0):
+                raise ValueError(f"{name}: {value}; it must be finite and not negative")
+        object.__setattr__(self, "_stencil", self._make_stencil())
+
+    def _make_stencil(self) -> Stencil:
+        return diffusion_stencil(
+            self.lattice, self.horizon, self.kernel_exponent, self.influence, self.calibration
+        )
+
+    @property
+    def stencil(self) -> Stencil:
+        """Bond weights of unit diffusivity."""
+        return self._stencil
+
+    def base_interface_diffusivity(self) -> float:
+        """D_int at zero volume loss, m^2/s, given or derived from the dissolution flux."""
+        if self.interface_diffusivity is not None:
+            return self.interface_diffusivity
+        strength = np.mean([self.stencil.front_strength(a) for a in range(self.lattice.dimension)])
+        return self.dissolution_flux / (self.solid_concentration * float(strength))
+
+    def refreshed(self) -> np.ndarray:
+        """Liquid nodes held at zero: those within the horizon of the domain's edge."""
+        if self.boundary == "no_flux":
+            return np.zeros(self.lattice.shape, bool)
+        from scipy.ndimage import distance_transform_edt
+
+        padded = np.pad(self.domain, 1)
+        depth = distance_transform_edt(padded, sampling=self.lattice.spacing)
+        depth = depth[(slice(1, -1),) * self.lattice.dimension]
+        # A node's distance to the first missing node is its distance to the edge plus h/2.
+        width = np.max(self.horizon) + 0.5 * min(self.lattice.spacing)
+        return self.domain & ~self.metal & (depth < width * (1 - 1e-9))
+
+    def capacity(self) -> np.ndarray:
+        """Volume of each cell relative to the lattice's, by the phase of its node.
+
+        A cut cell has one phase, its node's; what the other phase owns of it is handed to the
+        neighbouring cells of that phase.  The metal's total is exactly sum(metal_fraction) cells.
+        """
+        if self.metal_fraction is None:
+            return self.domain.astype(float)
+        metal, liquid = self.metal, self.domain & ~self.metal
+        share = np.where(self.domain, self.metal_fraction, 0.0)
+        out = np.where(metal, share, 0.0) + _hand_over(np.where(liquid, share, 0.0), metal)
+        total = share.sum()
+        if metal.any() and total > 0:
+            out = np.where(metal, np.maximum(out, 0.05), 0.0)
+            out *= total / out.sum()
+        rest = np.where(self.domain, 1.0 - share, 0.0)
+        return out + np.where(liquid, rest, 0.0) + _hand_over(np.where(metal, rest, 0.0), liquid)
+
+
+def _check_positive(name: str, value: float) -> None:
+    if not (math.isfinite(value) and value > 0):
+        raise ValueError(f"{name}: {value}; it must be finite and positive")
+
+
+def _hand_over(amount: np.ndarray, receiver: np.ndarray) -> np.ndarray:
+    """Split each cell's amount evenly over its nearest receiving neighbours (faces, then all)."""
+    out = np.zeros_like(amount)
+    d = amount.ndim
+    moves = [m for m in itertools.product((-1, 0, 1), repeat=d) if any(m)]
+    left = amount
+    for ring in ([m for m in moves if sum(map(abs, m)) == 1], moves):
+        shifted = [_shift(receiver.astype(float), m) for m in ring]
+        count = sum(shifted)
+        each = np.where(count > 0, left / np.maximum(count, 1), 0.0)
+        for m, has in zip(ring, shifted, strict=True):
+            out += _shift(each * has, tuple(-v for v in m))
+        left = np.where(count > 0, 0.0, left)
+        if not left.any():
+            break
+    return out
+
+
+def _shift(values: np.ndarray, move: tuple[int, ...]) -> np.ndarray:
+    """out[i] = values[i + move], zero from outside."""
+    out = np.zeros_like(values)
+    target, source = [], []
+    for m, n in zip(move, values.shape, strict=True):
+        target.append(slice(max(0, -m), n - max(0, m)))
+        source.append(slice(max(0, m), n - max(0, -m)))
+    out[tuple(target)] = values[tuple(source)]
+    return out

@@ -1,0 +1,60 @@
+"""Marching in time: explicit and implicit Euler, an L-stable second-order method, step control.
+
+A problem offers `implicit_stage(old, tau, guess, ...)`, the solution of Y = old + tau F(Y), and
+the measures used here; see corrosion.bimaterial.BiMaterial.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+GAMMA = 1.0 - math.sqrt(0.5)
+"""Diagonal of the two-stage, stiffly accurate, L-stable SDIRK method of order two
+(Alexander 1977)."""
+
+SCHEMES = ("forward_euler", "backward_euler", "sdirk2")
+
+
+@dataclass(frozen=True)
+class TimeStepping:
+    """How time is stepped.
+
+    Parameters
+    ----------
+    scheme : {"sdirk2", "backward_euler", "forward_euler"}
+    step : float, optional
+        Fixed step, s (shortened evenly so that output times are hit).  Without it the step is
+        controlled so that the metal's loss rate changes by about `rate_change` within a step.
+    rate_change : float
+        Target of the control, relative; the error of a first-order step relative to what the
+        step dissolves is about this, that of the second-order one about its square.
+    first_step : float, optional
+        First controlled step, s (default: chosen from the fastest metal node).
+    """
+
+    scheme: str = "sdirk2"
+    step: float | None = None
+    rate_change: float = 0.05
+    first_step: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.scheme not in SCHEMES:
+            raise ValueError(f"scheme: {self.scheme!r}; allowed: {', '.join(SCHEMES)}")
+        for name in ("step", "first_step"):
+            value = getattr(self, name)
+            if value is not None and not (math.isfinite(value) and value > 0):
+                raise ValueError(f"{name}: {value} s; it must be finite and positive")
+        if not 0 < self.rate_change <= 1:
+            raise ValueError(f"rate_change: {self.rate_change}; it must be in (0, 1]")
+
+
+def step_towards(now: float, target: float, step: float) -> float:
+    """The step to take so that `target` is hit exactly without a sliver of a last step."""
+    remaining = target - now
+    return remaining / max(1, math.ceil(remaining / step * (1 - 1e-9)))
+
+
+def next_step(step: float, change: float, wanted: float) -> float:
+    """A controlled step from the measured relative change of the rate (growth at most 2)."""
+    return step * min(2.0, max(0.2, 0.9 * wanted / max(change, 1e-12)))
