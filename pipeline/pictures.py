@@ -31,12 +31,13 @@ logger = logging.getLogger(__name__)
 
 #: Corrosion damage at which the metal carries nothing, 1/q1 with q1 = 1.5 (MODEL.md 6).
 MAXIMUM_DAMAGE = 2.0 / 3.0
-#: Metal counts as gone in a picture from this share of the maximum damage on.  Node values are
-#: averages over cells, so the limit itself is reached only in the middle of what is gone.
+#: What is given per cell is averaged at the nodes and so reaches the maximum only in the middle of
+#: what is gone; it counts as gone from this share of the maximum on.
 GONE = 0.97
 #: Colours of corrosion damage from none to the maximum: sound metal light grey, then yellow to
 #: brown with falling lightness, readable without colour vision.
 DAMAGE_COLOURS = ("#d5dae1", "#f0dca0", "#eeb04e", "#d97a1e", "#a8480c", "#6e2a08")
+SHELL_COLOUR = "#8593a6"
 
 
 def damage_at_points(
@@ -63,6 +64,35 @@ def damage_at_points(
     return np.divide(total, weight, out=np.zeros(len(points)), where=weight > 0.0)
 
 
+def refine_tetrahedra(
+    points: NDArray[np.float64], cells: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Split every tetrahedron into eight at the middles of its edges.
+
+    points (n, 3) and cells (nc, 4) become (n + number of edges, 3) and (8 nc, 4); neighbours keep
+    sharing their points and the volume stays the same.
+    """
+    ends = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
+    edges = np.sort(cells[:, ends].reshape(-1, 2), axis=1)
+    unique, number = np.unique(edges, axis=0, return_inverse=True)
+    middle = len(points) + number.reshape(len(cells), 6)
+    corners = np.concatenate([cells, middle], axis=1)  # 4 corners, then middles in order of `ends`
+    parts = np.array(
+        [
+            (0, 4, 5, 6),
+            (4, 1, 7, 8),
+            (5, 7, 2, 9),
+            (6, 8, 9, 3),
+            (4, 5, 6, 8),
+            (4, 7, 5, 8),
+            (9, 5, 7, 8),
+            (9, 6, 5, 8),
+        ]
+    )
+    finer = np.concatenate([points, points[unique].mean(axis=1)])
+    return finer, corners[:, parts].reshape(-1, 4)
+
+
 def screw_picture(
     points: NDArray[np.float64],
     cells: NDArray[np.int64],
@@ -78,13 +108,14 @@ def screw_picture(
     """Render the metal that is left, coloured by corrosion damage, on a transparent background.
 
     Metal at `maximum_damage` carries nothing and is not drawn; with `outline` the intact solid
-    stands around what is left as a faint shell.  All pictures of one mesh have one camera and scale.
+    stands around what is left as a faint shell.  All pictures of a mesh have one camera and scale.
 
     Parameters
     ----------
     points : (n, 3) coordinates of the original solid, m; the long axis is z.
     cells : (nc, 4) four-node tetrahedra.
-    corrosion_damage : (n,) at the points, or (nc,) or (nc, nq) in the cells.
+    corrosion_damage : (n,) at the points, best not cut off at the maximum, so that the surface at
+        the maximum is smooth; or (nc,) or (nc, nq) in the cells.
     cut : take away the half that faces the viewer and show the inside.
     size : width and height of the picture, pixels.
     azimuth, elevation : direction of view, degrees.
@@ -100,7 +131,7 @@ def screw_picture(
     points = np.asarray(points, dtype=float)
     damage = np.asarray(corrosion_damage, dtype=float)
     if damage.shape != (len(points),):
-        damage = damage_at_points(points, cells, damage)
+        damage = damage_at_points(points, cells, damage) / GONE
     low, high = points.min(axis=0), points.max(axis=0)
     centre, scale = 0.5 * (low + high), 1.0 / (high - low).max()
     cell_types = np.full(len(cells), pyvista.CellType.TETRA)
@@ -111,10 +142,8 @@ def screw_picture(
     turn, rise = np.radians(azimuth), np.radians(elevation)
     facing = np.array([np.cos(turn), np.sin(turn), 0.0])
     left = intact
-    if damage.max() >= GONE * maximum_damage:
-        left = intact.clip_scalar(
-            scalars="corrosion_damage", value=GONE * maximum_damage, invert=True
-        )
+    if damage.max() >= maximum_damage:
+        left = intact.clip_scalar(scalars="corrosion_damage", value=maximum_damage, invert=True)
     if cut and left.n_cells:
         left = left.clip(normal=facing, origin=(0.0, 0.0, 0.0), invert=True)
 
@@ -122,6 +151,8 @@ def screw_picture(
     plotter = pyvista.Plotter(
         off_screen=True, window_size=[oversampling * s for s in size], lighting="none"
     )
+    # Translucent parts blend with the background colour even where that is transparent.
+    plotter.set_background(SHELL_COLOUR)
     try:
         _add_lights(plotter, pyvista, turn)
         if left.n_cells:
@@ -145,7 +176,9 @@ def screw_picture(
             shell = intact.extract_surface(algorithm="dataset_surface")
             if cut:
                 shell = shell.clip(normal=facing, origin=(0.0, 0.0, 0.0), invert=True)
-            plotter.add_mesh(shell, color="#8a94a3", opacity=0.10, lighting=False)
+            plotter.add_mesh(
+                shell, color=SHELL_COLOUR, opacity=0.16, lighting=False, culling="front"
+            )
         view = np.array([*(np.cos(rise) * facing[:2]), np.sin(rise)])
         plotter.camera.position = tuple(5.0 * view)
         plotter.camera.focal_point = (0.0, 0.0, 0.0)
@@ -168,7 +201,7 @@ def _half_height(extent: NDArray[np.float64], rise: float, size: tuple[int, int]
 
 def _add_lights(plotter: object, pyvista: object, turn: float) -> None:
     """A key light from the upper left of the view, a weak fill from the right, one from above."""
-    for angle, height, intensity in ((-0.6, 0.9, 0.75), (0.9, 0.2, 0.35), (0.0, 3.0, 0.25)):
+    for angle, height, intensity in ((-0.6, 0.9, 0.68), (0.9, 0.2, 0.32), (0.0, 3.0, 0.2)):
         position = (5.0 * np.cos(turn + angle), 5.0 * np.sin(turn + angle), 5.0 * height)
         light = pyvista.Light(
             position=position,
@@ -195,6 +228,7 @@ def render_pictures(
     requests: Sequence[PictureRequest],
     *,
     size: tuple[int, int] = (300, 440),
+    maximum_damage: float = MAXIMUM_DAMAGE,
     timeout: float = 300.0,
 ) -> str:
     """Write the pictures asked for in a child process; return "" or one sentence of what failed.
@@ -205,9 +239,20 @@ def render_pictures(
         return ""
     with tempfile.TemporaryDirectory() as folder:
         job = Path(folder) / "job.npz"
-        fields = {f"damage_{n}": request.damage for n, request in enumerate(requests)}
-        plan = [{"path": str(Path(r.path).resolve()), "cut": r.cut} for r in requests]
-        np.savez(job, points=points, cells=cells, plan=json.dumps([plan, list(size)]), **fields)
+        unique = {id(request.damage): request.damage for request in requests}
+        order = {key: number for number, key in enumerate(unique)}
+        fields = {f"damage_{order[key]}": damage for key, damage in unique.items()}
+        plan = [
+            {"path": str(Path(r.path).resolve()), "cut": r.cut, "damage": order[id(r.damage)]}
+            for r in requests
+        ]
+        np.savez(
+            job,
+            points=points,
+            cells=cells,
+            plan=json.dumps([plan, list(size), maximum_damage]),
+            **fields,
+        )
         package_parent = str(Path(__file__).resolve().parent.parent)
         search_path = os.pathsep.join(filter(None, [package_parent, os.environ.get("PYTHONPATH")]))
         try:
@@ -309,11 +354,12 @@ def write_png(image: NDArray[np.uint8], path: Path) -> None:
 def _child(job: Path) -> None:
     """Render everything that one job file asks for."""
     with np.load(job) as stored:
-        plan, size = json.loads(str(stored["plan"]))
+        plan, size, most = json.loads(str(stored["plan"]))
         points, cells = stored["points"], stored["cells"]
-        for n, entry in enumerate(plan):
+        for entry in plan:
+            damage = stored[f"damage_{entry['damage']}"]
             image = screw_picture(
-                points, cells, stored[f"damage_{n}"], cut=entry["cut"], size=tuple(size)
+                points, cells, damage, cut=entry["cut"], size=tuple(size), maximum_damage=most
             )
             write_png(image, Path(entry["path"]))
 

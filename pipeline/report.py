@@ -20,17 +20,16 @@ from markupsafe import Markup
 import perilife_data
 from pipeline import plots, provenance
 from pipeline.machine import describe_machine, package_versions
-from pipeline.pictures import MAXIMUM_DAMAGE, PictureRequest, render_pictures, write_overview
+from pipeline.picture_set import PictureSet, make_pictures, times_shown
+from pipeline.pictures import DAMAGE_COLOURS, MAXIMUM_DAMAGE, write_overview
 from pipeline.resolution import RESOLUTIONS
 from pipeline.run_folder import REPORT_FILE, utc_now, write_text
 from pipeline.run_results import AlloyResult, ImmersionResult, RunResults, column, read_run
 from pipeline.scene import ScrewGeometry
-from pipeline.units import format_bytes, format_seconds
+from pipeline.units import format_bytes, format_length, format_seconds
 
 logger = logging.getLogger(__name__)
 
-MOST_TIMES_SHOWN = 6
-PICTURES_FOLDER = "pictures"
 OVERVIEW_FILE = "overview.png"
 STAGE_TITLES = {
     "geometry": "Solid and mesh",
@@ -73,11 +72,13 @@ def write_report(run_folder: Path | str) -> Path:
     """
     run = read_run(run_folder)
     rows = provenance.parameter_rows(run.scene)
-    pictures, picture_trouble = _pictures(run)
+    pictures = make_pictures(run)
     measured, measured_trouble = _measured(run)
     trouble = [*measured_trouble]
-    if picture_trouble:
-        trouble.append(f"the pictures, completely: {picture_trouble}")
+    if pictures.trouble:
+        trouble.append(f"pictures, all or some: {pictures.trouble}")
+    if pictures.paths:
+        write_overview(run, pictures.paths, run.folder / OVERVIEW_FILE)
     references = provenance.references(rows)
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
@@ -94,7 +95,7 @@ def write_report(run_folder: Path | str) -> Path:
         parameter_set=_parameter_set(run),
         preset=run.scene.resolution,
         table=[_table_row(a, i) for a in run.alloys for i in a.immersions if i.summary],
-        pictures=pictures,
+        pictures=_pictures(run, pictures),
         damage_ramp=_damage_ramp(),
         plots=_plots(run, measured),
         measured=sorted(measured),
@@ -105,7 +106,7 @@ def write_report(run_folder: Path | str) -> Path:
         assumptions=provenance.to_be_listed(rows),
         parameters=_grouped(rows),
         kinds=[(k, v) for k, v in provenance.kinds_explained().items() if _has(rows, k)],
-        mesh_quality=_mesh_quality(run),
+        solid_rows=_solid_rows(run),
         stages=_stage_times(run),
         versions=_versions(run),
         machine=_machine(),
@@ -258,60 +259,37 @@ def _or_dash(value: float, write) -> str:
     return write(value) if math.isfinite(value) else "–"
 
 
-def times_shown(alloy: AlloyResult) -> list[ImmersionResult]:
-    """The times that pictures show: all that have a damage map, thinned out to six."""
-    mapped = [item for item in alloy.immersions if item.damage is not None]
-    if len(mapped) <= MOST_TIMES_SHOWN:
-        return mapped
-    picks = np.linspace(0, len(mapped) - 1, MOST_TIMES_SHOWN).round().astype(int)
-    return [mapped[n] for n in picks]
-
-
-def _pictures(run: RunResults) -> tuple[list[tuple[str, list[PictureColumn]]], str]:
-    """Render the pictures; return them by alloy, and "" or what went wrong."""
-    folder = run.folder / PICTURES_FOLDER
-    requests, places = [], {}
-    if run.points is not None:
-        for alloy in run.alloys:
-            for item in times_shown(alloy):
-                for cut in (False, True):
-                    path = folder / f"{alloy.name}_{item.label}_{'cut' if cut else 'whole'}.png"
-                    path.unlink(missing_ok=True)
-                    places[alloy.name, item.label, cut] = path
-                    if item.damage.shape[0] == len(run.cells):
-                        requests.append(PictureRequest(item.damage, path, cut))
-    trouble = render_pictures(run.points, run.cells, requests)
+def _pictures(run: RunResults, made: PictureSet) -> list[tuple[str, list[PictureColumn]]]:
+    """The pictures of each alloy in columns, one per time."""
     result = []
     for alloy in run.alloys:
         columns = []
-        for item in times_shown(alloy) if places else []:
-            ratio = item.strength_ratio
-            caption = "" if ratio is None else f"{percent(ratio)} left"
-            if ratio == 0.0 and item.summary:
-                caption = _status(item.summary.status)
-            views = [_embed(places[alloy.name, item.label, c], alloy, item, c) for c in (0, 1)]
+        for item in times_shown(alloy):
+            paths = [made.paths.get((alloy.name, item.label, cut)) for cut in (False, True)]
+            views = [_embed(path, alloy, item) if path else None for path in paths]
             if any(views):
-                columns.append(PictureColumn(duration(item.seconds), caption, *views))
+                columns.append(PictureColumn(duration(item.seconds), _caption(item), *views))
         if columns:
             result.append((alloy.name, columns))
-    if result:
-        write_overview(run, places, run.folder / OVERVIEW_FILE)
-    return result, trouble
+    return result
 
 
-def _embed(path: Path, alloy: AlloyResult, item: ImmersionResult, cut: bool) -> Picture | None:
-    try:
-        content = base64.b64encode(path.read_bytes()).decode()
-    except OSError:
-        return None
-    view = "cut in half" if cut else "whole"
+def _caption(item: ImmersionResult) -> str:
+    if item.strength_ratio is None:
+        return ""
+    if item.strength_ratio == 0.0 and item.summary:
+        return _status(item.summary.status)
+    return f"{percent(item.strength_ratio)} left"
+
+
+def _embed(path: Path, alloy: AlloyResult, item: ImmersionResult) -> Picture:
+    content = base64.b64encode(path.read_bytes()).decode()
+    view = "cut in half" if path.stem.endswith("cut") else "whole"
     text = f"{alloy.name} after {duration(item.seconds)}, {view}, coloured by corrosion damage"
     return Picture(f"data:image/png;base64,{content}", text)
 
 
 def _damage_ramp() -> dict[str, object]:
-    from pipeline.pictures import DAMAGE_COLOURS
-
     return {"colours": ", ".join(DAMAGE_COLOURS), "most": f"{MAXIMUM_DAMAGE:.2f}"}
 
 
@@ -349,42 +327,53 @@ def _plots(run: RunResults, measured: dict) -> dict[str, object]:
 
 def _checks(run: RunResults) -> list[dict[str, str]]:
     """Measured checks of this run: what, how large, what it means."""
-    checks = []
+    found = []
+
+    def add(what: str, value: str, meaning: str) -> None:
+        found.append({"what": what, "value": value, "meaning": meaning})
+
     for alloy in run.alloys:
         error = column(alloy.history, "balance_error")
         if error is not None and len(error):
-            checks.append(
-                {
-                    "what": f"Mass balance of the corrosion of {alloy.name}",
-                    "value": f"{np.nanmax(np.abs(error)):.1e}",
-                    "meaning": "largest part of the metal's amount that appears or vanishes in "
-                    "the computation; round-off is about 1e-12",
-                }
+            add(
+                f"Mass balance of the corrosion of {alloy.name}",
+                f"{np.nanmax(np.abs(error)):.0e}",
+                "largest share of the metal that appears or vanishes in the computation",
             )
-    checks += _map_checks(run)
-    return checks
-
-
-def _map_checks(run: RunResults) -> list[dict[str, str]]:
-    found = []
     for alloy in run.alloys:
         differences = [
-            (abs(value), item)
+            (abs(item.map_numbers["lost_difference"]), item)
             for item in alloy.immersions
-            for key, value in item.map_numbers.items()
-            if "difference" in key and isinstance(value, int | float) and math.isfinite(value)
+            if isinstance(item.map_numbers.get("lost_difference"), int | float)
         ]
         if differences:
             worst, item = max(differences, key=lambda pair: pair[0])
-            found.append(
-                {
-                    "what": f"Lost mass of {alloy.name} on the mesh against the lattice",
-                    "value": percent(worst, 2),
-                    "meaning": f"largest difference, after {duration(item.seconds)}; what the "
-                    "change from lattice to mesh does to the damage",
-                }
+            add(
+                f"Lost mass of {alloy.name}, mesh against lattice",
+                percent(worst, 2),
+                f"largest difference, after {duration(item.seconds)}: what the change from the "
+                "lattice to the mesh does to the damage",
             )
+    gaps = [(_energy_gap(i), f"{a.name} after {i.label}") for a in run.alloys for i in a.immersions]
+    known = [pair for pair in gaps if pair[0] is not None]
+    if known:
+        worst, case = max(known)
+        add(
+            "Energy balance of the tensile tests",
+            percent(worst, 2),
+            f"largest difference, {case}: work of the grips against what is stored and dissipated",
+        )
     return found
+
+
+def _energy_gap(item: ImmersionResult) -> float | None:
+    """Largest |work - stored - dissipated| of a tensile test over its work; None if unknown."""
+    work, stored, dissipated = (
+        column(item.curve, name) for name in ("work", "stored", "dissipated")
+    )
+    if work is None or stored is None or dissipated is None or not np.nanmax(work, initial=0.0) > 0:
+        return None
+    return float(np.nanmax(np.abs(work - stored - dissipated)) / np.nanmax(work))
 
 
 def _error_estimate(run: RunResults) -> str:
@@ -408,14 +397,15 @@ def _twice_as_sure(run: RunResults) -> str:
     corrosion, pulls = seconds.get("corrode"), seconds.get("pull")
     if not corrosion or not pulls:
         return "The run times needed for an estimate are not in this run."
+    corrode, pull = (format_seconds(value) for value in (corrosion, pulls))
     return (
-        "Halving the spacing of the lattice, the edge length of the mesh and the time step means "
-        "8 times the nodes and cells and twice the steps. From the times of this run: corrosion "
-        f"{format_seconds(corrosion)} → about {format_seconds(16 * corrosion)}, tensile tests "
-        f"{format_seconds(pulls)} → about {format_seconds(8 * pulls)} or more. That halves the "
-        "error if it falls in proportion to the spacing, an assumption which this run does not "
-        "test. No computation makes the assumed strengths of the alloys below any surer: that "
-        "takes a tensile test of the bar the screw is cut from."
+        "Halving the spacing of the lattice and the edge length of the mesh means 8 times the "
+        "nodes and cells and, at the same horizon, 8 times the bonds of each node. From the times "
+        f"of this run: corrosion {corrode} → {format_seconds(8 * corrosion)} to "
+        f"{format_seconds(64 * corrosion)}; tensile tests {pull} → {format_seconds(8 * pulls)} or "
+        "more. That halves the error if it falls in proportion to the spacing, which this run "
+        "does not test. No computation makes the assumed strengths of the alloys any surer: that "
+        "takes a tensile test of the bar that the screw is cut from."
     )
 
 
@@ -444,23 +434,38 @@ def _has(rows: list[provenance.ParameterRow], kind: str) -> bool:
     return any(row.kind == kind for row in rows)
 
 
-def _mesh_quality(run: RunResults) -> list[tuple[str, str]]:
-    """Counts and everything that the geometry stage measured, as text."""
-    rows = []
+def _solid_rows(run: RunResults) -> list[tuple[str, str]]:
+    """Volume and area of solid and mesh with their differences, and the mesh's quality."""
+    geometry, rows = run.geometry, []
+    mesh = geometry.get("mesh", {})
+    volume, area = geometry.get("volume"), geometry.get("area")
+    if volume:
+        rows.append(("Volume of the solid", f"{1e9 * volume:.4g} mm³"))
+        rows += _difference("… against its parameters", volume, geometry.get("reference_volume"))
+        rows += _difference("… of the mesh against the solid", mesh.get("volume"), volume)
+    if area:
+        rows.append(("Surface of the solid", f"{1e6 * area:.4g} mm²"))
+        rows += _difference("… against its parameters", area, geometry.get("reference_area"))
+    if geometry.get("smallest_feature"):
+        rows.append(("Smallest feature", format_length(geometry["smallest_feature"])))
     if run.points is not None:
         rows += [("Mesh points", f"{len(run.points):,}"), ("Tetrahedra", f"{len(run.cells):,}")]
-    return rows + list(_flat("", run.geometry))
+    for key, title, scale, unit in (
+        ("min_shape", "Worst shape (1 regular, 0 flat)", 1.0, ""),
+        ("mean_shape", "Mean shape", 1.0, ""),
+        ("min_dihedral_angle", "Smallest dihedral angle", 1.0, "°"),
+        ("max_dihedral_angle", "Largest dihedral angle", 1.0, "°"),
+        ("mean_edge", "Mean edge", 1e6, " µm"),
+    ):
+        if isinstance(mesh.get(key), int | float):
+            rows.append((title, f"{scale * mesh[key]:.3g}{unit}"))
+    return rows
 
 
-def _flat(prefix: str, content: dict):
-    for key, value in content.items():
-        name = f"{prefix}{key.replace('_', ' ')}"
-        if isinstance(value, dict):
-            yield from _flat(f"{name}: ", value)
-        elif isinstance(value, float):
-            yield name, f"{value:.5g}"
-        elif isinstance(value, int | str):
-            yield name, str(value)
+def _difference(title: str, value: object, reference: object) -> list[tuple[str, str]]:
+    if not (isinstance(value, float) and isinstance(reference, float) and reference > 0):
+        return []
+    return [(title, f"{100 * (value / reference - 1):+.2f} %")]
 
 
 def _stage_times(run: RunResults) -> list[tuple[str, str, str]]:

@@ -28,18 +28,27 @@ STAGES = ("geometry", "corrode", "map", "pull", "report")
 class ImmersionResult:
     """One alloy after one immersion time; None where a stage has not run.
 
-    elongation: (n,) nominal strain, force: (n,) N, of the tensile test; damage: (nc, nq)
-    corrosion damage f0 at the quadrature points; tensile: content of tensile.json.
+    curve: columns of tensile.csv by name; damage: (nc, nq) corrosion damage f0 at the quadrature
+    points; tensile: content of tensile.json; map_numbers: what the map stage measured.
     """
 
     label: str
     seconds: float
     summary: SummaryRow | None = None
-    elongation: NDArray[np.float64] | None = None
-    force: NDArray[np.float64] | None = None
+    curve: dict[str, NDArray[np.float64]] = field(default_factory=dict)
     damage: NDArray[np.float64] | None = None
     tensile: dict = field(default_factory=dict)
     map_numbers: dict = field(default_factory=dict)
+
+    @property
+    def elongation(self) -> NDArray[np.float64] | None:
+        """Nominal strain (n,) of the tensile test."""
+        return column(self.curve, "elongation")
+
+    @property
+    def force(self) -> NDArray[np.float64] | None:
+        """Force (n,) of the tensile test, N."""
+        return column(self.curve, "force")
 
     @property
     def strength_ratio(self) -> float | None:
@@ -149,11 +158,10 @@ def _read_alloy(
     for time in scene.with_intact():
         place = folder.immersion(name, time.label)
         curve = _read_columns(place / "tensile.csv")
-        elongation, force = column(curve, "elongation"), column(curve, "force")
         damage = _read_damage(place / "damage.h5")
         if damage is None:
             missing.append(f"the damage map of {name} after {time.label}")
-        if elongation is None or force is None:
+        if column(curve, "elongation") is None or column(curve, "force") is None:
             missing.append(f"the tensile test of {name} after {time.label}")
         rows = [
             row
@@ -166,8 +174,7 @@ def _read_alloy(
                 label=time.label,
                 seconds=time.seconds,
                 summary=rows[0] if rows else None,
-                elongation=elongation,
-                force=force,
+                curve=curve,
                 damage=damage,
                 tensile=_read_json(place / "tensile.json"),
                 map_numbers=dict(record.numbers) if record else {},

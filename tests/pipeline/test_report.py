@@ -66,7 +66,12 @@ def write_run(path, scene, points, cells):
     folder.scene_file.write_text(json.dumps(scene.to_json()))
     with h5py.File(folder.geometry / "mesh.h5", "w") as file:
         file["points"], file["cells"] = points, cells
-    quality = {"volume": 9.3e-9, "area": 42e-6, "quality": {"min_shape": 0.31, "cells": len(cells)}}
+    quality = {
+        "volume": 9.3e-9,
+        "area": 42e-6,
+        "reference_volume": 9.25e-9,
+        "mesh": {"volume": 9.2e-9, "min_shape": 0.31},
+    }
     (folder.geometry / "geometry.json").write_text(json.dumps(quality))
     record(folder, folder.geometry, "geometry", 3.0)
     middle = points[cells].mean(axis=1)
@@ -85,10 +90,13 @@ def write_run(path, scene, points, cells):
             damage = np.clip(0.9 - depth / (2e-3 * (1.01 - ratio)), 0, 2 / 3) * (ratio < 1)
             with h5py.File(place / "damage.h5", "w") as file:
                 file["f0"] = np.repeat(damage[:, None], 4, axis=1)
-            record(folder, place, "map", 0.5, lost_mass_difference=0.0123)
+            record(folder, place, "map", 0.5, lost_difference=-0.0123)
             strain = np.linspace(0, 0.1, 21)
             force = 500 * ratio * (1 - np.exp(-60 * strain)) * (1 - strain)
-            write_csv(place / "tensile.csv", {"elongation": strain, "force": force})
+            work = np.cumsum(force) * 2e-5
+            columns = {"elongation": strain, "displacement_m": 4e-3 * strain, "force_N": force}
+            energy = {"work_J": work, "stored_J": 0.2 * work, "dissipated_J": 0.798 * work}
+            write_csv(place / "tensile.csv", columns | energy)
             status = "severed" if ratio == 0 else "completed"
             (place / "tensile.json").write_text(json.dumps({"status": status}))
             record(folder, place, "pull", 12.0)
@@ -219,8 +227,9 @@ def test_doubt_and_cost_are_stated(full):
     _, page, _ = full
     sure = page.sections["sure"]
     assert "has not been measured yet" in sure
-    assert "3.0e-13" in sure and "1.23 %" in sure
-    assert "1 min 20 s → about 21 min 20 s" in sure  # 2 x 40 s, 16 times
+    assert "3e-13" in sure and "1.23 %" in sure and "0.20 %" in sure  # balance, map, energy
+    assert "1 min 20 s → 10 min 40 s to 1 h 25 min" in sure  # 2 x 40 s, 8 and 64 times
+    assert "+0.54 %" in page.sections["made"]  # 9.3 / 9.25
 
 
 def test_a_value_set_by_hand_is_not_given_a_source():
