@@ -18,15 +18,15 @@ import numpy as np
 from markupsafe import Markup
 
 import perilife_data
-from pipeline import plots, provenance
+from pipeline import doubts, plots, provenance
 from pipeline.machine import describe_machine, package_versions
 from pipeline.picture_set import PictureSet, make_pictures, times_shown
 from pipeline.pictures import DAMAGE_COLOURS, MAXIMUM_DAMAGE, write_overview
-from pipeline.resolution import RESOLUTIONS
 from pipeline.run_folder import REPORT_FILE, utc_now, write_text
-from pipeline.run_results import AlloyResult, ImmersionResult, RunResults, column, read_run
+from pipeline.run_results import AlloyResult, ImmersionResult, RunResults, read_run
 from pipeline.scene import ScrewGeometry
 from pipeline.units import format_bytes, format_length, format_seconds
+from pipeline.wording import duration, force, headline, percent, status_in_words
 
 logger = logging.getLogger(__name__)
 
@@ -37,12 +37,6 @@ STAGE_TITLES = {
     "map": "Damage onto the mesh",
     "pull": "Tensile tests",
     "report": "Report",
-}
-STATUS_WORDS = {
-    "completed": "pulled to the end",
-    "past_peak": "pulled past its peak",
-    "severed": "severed: carries nothing",
-    "fully_corroded": "fully corroded",
 }
 
 
@@ -99,10 +93,10 @@ def write_report(run_folder: Path | str) -> Path:
         damage_ramp=_damage_ramp(),
         plots=_plots(run, measured),
         measured=sorted(measured),
-        checks=_checks(run),
-        error_estimate=_error_estimate(run),
-        twice_as_sure=_twice_as_sure(run),
-        omissions=_omissions(run),
+        checks=doubts.checks(run),
+        error_estimate=doubts.error_estimate(run),
+        twice_as_sure=doubts.twice_as_sure(run),
+        omissions=doubts.omissions(run),
         assumptions=provenance.to_be_listed(rows),
         parameters=_grouped(rows),
         kinds=[(k, v) for k, v in provenance.kinds_explained().items() if _has(rows, k)],
@@ -119,81 +113,6 @@ def write_report(run_folder: Path | str) -> Path:
     path = run.folder / REPORT_FILE
     write_text(path, page)
     return path
-
-
-# ---------------------------------------------------------------- words
-
-
-def headline(alloy: AlloyResult) -> str:
-    """The answer for one alloy in one sentence, from what was tested."""
-    tested = [i for i in alloy.immersions if i.strength_ratio is not None]
-    immersed = [i for i in tested if i.seconds > 0]
-    if not immersed:
-        intact = [i for i in tested if i.seconds == 0]
-        if intact and intact[0].summary:
-            force = intact[0].summary.peak_force_N
-            return (
-                f"{alloy.name} was tested only before immersion; the intact solid carries "
-                f"{_force(force)}."
-            )
-        return f"No tensile test of {alloy.name} is in this run."
-    last = immersed[-1]
-    halfway = [i for i in immersed[:-1] if i.strength_ratio > 0.0]
-    parts = []
-    if halfway:
-        middle = min(halfway, key=lambda i: abs(math.log(i.seconds / (last.seconds / 3.0))))
-        kept = percent(middle.strength_ratio)
-        parts.append(f"{kept} of its strength after {duration(middle.seconds)}")
-    gone = [i for i in immersed if i.strength_ratio == 0.0]
-    if gone:
-        ending = f"none after {duration(gone[0].seconds)}, when it no longer holds together"
-    else:
-        share = "" if parts else " of its strength"
-        ending = f"{percent(last.strength_ratio)}{share} after {duration(last.seconds)}"
-    parts.append(ending)
-    sentence = f"{alloy.name} keeps " + " and ".join(parts)
-    half = half_strength_time(alloy)
-    if half is not None:
-        sentence += f"; half of it is gone after about {duration(half, rough=True)}"
-    return sentence + "."
-
-
-def half_strength_time(alloy: AlloyResult) -> float | None:
-    """Time (s) at which the strength ratio passes one half, linear between computed times."""
-    known = [i for i in alloy.immersions if i.strength_ratio is not None]
-    tested = [(i.seconds, i.strength_ratio) for i in known]
-    for (t0, r0), (t1, r1) in zip(tested, tested[1:], strict=False):
-        if r0 > 0.5 >= r1:
-            return t0 + (r0 - 0.5) / (r0 - r1) * (t1 - t0)
-    return None
-
-
-def duration(seconds: float, rough: bool = False) -> str:
-    """A time in words in the unit in which it is a whole number; `rough` rounds it."""
-    if seconds == 0:
-        return "0 weeks"
-    for name, unit in (("week", 604800.0), ("day", 86400.0), ("hour", 3600.0)):
-        count = seconds / unit
-        whole = abs(count - round(count)) < 1e-6
-        if whole or (rough and count >= 2):
-            return f"{round(count)} {name}{'' if round(count) == 1 else 's'}"
-    return f"{seconds:.4g} seconds"
-
-
-def percent(fraction: float, digits: int = 0) -> str:
-    """A fraction in per cent, with more digits where it would otherwise read as none or all."""
-    value = 100.0 * fraction
-    if digits == 0 and (0.0 < abs(value) < 0.95 or 99.5 <= value < 100.0 - 1e-6):
-        digits = 2 if abs(value) < 0.095 else 1
-    return f"{value:.{digits}f} %"
-
-
-def _force(newton: float) -> str:
-    return f"{newton:.0f} N" if newton >= 10 else f"{newton:.2g} N"
-
-
-def _status(text: str) -> str:
-    return STATUS_WORDS.get(text, text.replace("_", " "))
 
 
 def _solid_in_words(run: RunResults) -> str:
@@ -231,11 +150,11 @@ def _table_row(alloy: AlloyResult, item: ImmersionResult) -> dict[str, object]:
         "time": duration(item.seconds),
         "volume_loss": _or_dash(row.volume_loss, lambda v: percent(v, 1)),
         "damage": _or_dash(row.mean_corrosion_damage, lambda v: f"{v:.3f}"),
-        "force": _or_dash(row.peak_force_N, _force),
+        "force": _or_dash(row.peak_force_N, force),
         "ratio": _or_dash(row.strength_ratio, percent),
         "bar": 0.0 if ratio is None else 100.0 * min(max(ratio, 0.0), 1.0),
         "elongation": _or_dash(row.elongation_at_peak, lambda v: percent(v, 1)) if ratio else "–",
-        "status": _status(row.status),
+        "status": status_in_words(row.status),
     }
 
 
@@ -278,7 +197,7 @@ def _caption(item: ImmersionResult) -> str:
     if item.strength_ratio is None:
         return ""
     if item.strength_ratio == 0.0 and item.summary:
-        return _status(item.summary.status)
+        return status_in_words(item.summary.status)
     return f"{percent(item.strength_ratio)} left"
 
 
@@ -320,104 +239,6 @@ def _plots(run: RunResults, measured: dict) -> dict[str, object]:
             for n, a in enumerate(tested)
         ],
     }
-
-
-# ---------------------------------------------------------------- how sure, at what cost
-
-
-def _checks(run: RunResults) -> list[dict[str, str]]:
-    """Measured checks of this run: what, how large, what it means."""
-    found = []
-
-    def add(what: str, value: str, meaning: str) -> None:
-        found.append({"what": what, "value": value, "meaning": meaning})
-
-    for alloy in run.alloys:
-        error = column(alloy.history, "balance_error")
-        if error is not None and len(error):
-            add(
-                f"Mass balance of the corrosion of {alloy.name}",
-                f"{np.nanmax(np.abs(error)):.0e}",
-                "largest share of the metal that appears or vanishes in the computation",
-            )
-    for alloy in run.alloys:
-        differences = [
-            (abs(item.map_numbers["lost_difference"]), item)
-            for item in alloy.immersions
-            if isinstance(item.map_numbers.get("lost_difference"), int | float)
-        ]
-        if differences:
-            worst, item = max(differences, key=lambda pair: pair[0])
-            add(
-                f"Lost mass of {alloy.name}, mesh against lattice",
-                percent(worst, 2),
-                f"largest difference, after {duration(item.seconds)}: what the change from the "
-                "lattice to the mesh does to the damage",
-            )
-    gaps = [(_energy_gap(i), f"{a.name} after {i.label}") for a in run.alloys for i in a.immersions]
-    known = [pair for pair in gaps if pair[0] is not None]
-    if known:
-        worst, case = max(known)
-        add(
-            "Energy balance of the tensile tests",
-            percent(worst, 2),
-            f"largest difference, {case}: work of the grips against what is stored and dissipated",
-        )
-    return found
-
-
-def _energy_gap(item: ImmersionResult) -> float | None:
-    """Largest |work - stored - dissipated| of a tensile test over its work; None if unknown."""
-    work, stored, dissipated = (
-        column(item.curve, name) for name in ("work", "stored", "dissipated")
-    )
-    if work is None or stored is None or dissipated is None or not np.nanmax(work, initial=0.0) > 0:
-        return None
-    return float(np.nanmax(np.abs(work - stored - dissipated)) / np.nanmax(work))
-
-
-def _error_estimate(run: RunResults) -> str:
-    """The measured error of the preset where the scene carries one, else that there is none."""
-    estimate = run.scene_extras.get("error_estimate")
-    if estimate:
-        return str(estimate)
-    name = run.scene.resolution
-    preset = f"the preset “{name}”" if name in RESOLUTIONS else "these settings"
-    return (
-        f"The discretisation error of {preset} in the strength left has not been measured yet. "
-        "Until it is, read the numbers as a comparison of alloys and times, not as a prediction."
-    )
-
-
-def _twice_as_sure(run: RunResults) -> str:
-    """What halving the discretisation error would cost, from the run's own times."""
-    seconds = {}
-    for _, record in run.records:
-        seconds[record.stage] = seconds.get(record.stage, 0.0) + record.seconds
-    corrosion, pulls = seconds.get("corrode"), seconds.get("pull")
-    if not corrosion or not pulls:
-        return "The run times needed for an estimate are not in this run."
-    corrode, pull = (format_seconds(value) for value in (corrosion, pulls))
-    return (
-        "Halving the spacing of the lattice and the edge length of the mesh means 8 times the "
-        "nodes and cells and, at the same horizon, 8 times the bonds of each node. From the times "
-        f"of this run: corrosion {corrode} → {format_seconds(8 * corrosion)} to "
-        f"{format_seconds(64 * corrosion)}; tensile tests {pull} → {format_seconds(8 * pulls)} or "
-        "more. That halves the error if it falls in proportion to the spacing, which this run "
-        "does not test. No computation makes the assumed strengths of the alloys any surer: that "
-        "takes a tensile test of the bar that the screw is cut from."
-    )
-
-
-def _omissions(run: RunResults) -> list[dict[str, str]]:
-    """What the plan left out, with its bound, from the records of the corrosion stage."""
-    found = []
-    for alloy in run.alloys:
-        entries = alloy.corrosion_numbers.get("omissions", [])
-        for entry in entries if isinstance(entries, list) else []:
-            if isinstance(entry, dict):
-                found.append({"alloy": alloy.name, **{k: str(v) for k, v in entry.items()}})
-    return found
 
 
 # ---------------------------------------------------------------- what it was made with

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from pipeline import pictures, plots, provenance, report
+from pipeline import pictures, plots, provenance, report, wording
 from pipeline.resolve import resolve_scene
 from pipeline.run_folder import RunFolder, StageRecord
 from pipeline.run_results import AlloyResult, ImmersionResult, read_run
@@ -311,13 +311,13 @@ def test_average_at_points_keeps_a_constant_and_the_bounds(mesh):
     [(604800, "1 week"), (56 * 86400, "8 weeks"), (86400, "1 day"), (5400, "5400 seconds")],
 )
 def test_durations_are_written_in_the_largest_whole_unit(seconds, words):
-    assert report.duration(seconds) == words
+    assert wording.duration(seconds) == words
 
 
 def test_small_remains_do_not_read_as_none_and_small_losses_not_as_all():
-    assert report.percent(0.004) == "0.4 %"
-    assert report.percent(0.9991) == "99.9 %"
-    assert report.percent(0.0) == "0 %" and report.percent(1.0) == "100 %"
+    assert wording.percent(0.004) == "0.4 %"
+    assert wording.percent(0.9991) == "99.9 %"
+    assert wording.percent(0.0) == "0 %" and wording.percent(1.0) == "100 %"
 
 
 def test_drawing_leaves_matplotlib_as_it_was():

@@ -1,0 +1,103 @@
+"""How sure the numbers of a run are, from what the run itself measured, and at what cost surer."""
+
+import numpy as np
+
+from pipeline.resolution import RESOLUTIONS
+from pipeline.run_results import ImmersionResult, RunResults, column
+from pipeline.units import format_seconds
+from pipeline.wording import duration, percent
+
+
+def checks(run: RunResults) -> list[dict[str, str]]:
+    """Measured checks of this run: what, how large, what it means."""
+    found = []
+
+    def add(what: str, value: str, meaning: str) -> None:
+        found.append({"what": what, "value": value, "meaning": meaning})
+
+    for alloy in run.alloys:
+        error = column(alloy.history, "balance_error")
+        if error is not None and len(error):
+            add(
+                f"Mass balance of the corrosion of {alloy.name}",
+                f"{np.nanmax(np.abs(error)):.0e}",
+                "largest share of the metal that appears or vanishes in the computation",
+            )
+    for alloy in run.alloys:
+        differences = [
+            (abs(item.map_numbers["lost_difference"]), item)
+            for item in alloy.immersions
+            if isinstance(item.map_numbers.get("lost_difference"), int | float)
+        ]
+        if differences:
+            worst, item = max(differences, key=lambda pair: pair[0])
+            add(
+                f"Lost mass of {alloy.name}, mesh against lattice",
+                percent(worst, 2),
+                f"largest difference, after {duration(item.seconds)}: what the change from the "
+                "lattice to the mesh does to the damage",
+            )
+    gaps = [(_energy_gap(i), f"{a.name} after {i.label}") for a in run.alloys for i in a.immersions]
+    known = [pair for pair in gaps if pair[0] is not None]
+    if known:
+        worst, case = max(known)
+        add(
+            "Energy balance of the tensile tests",
+            percent(worst, 2),
+            f"largest difference, {case}: work of the grips against what is stored and dissipated",
+        )
+    return found
+
+
+def _energy_gap(item: ImmersionResult) -> float | None:
+    """Largest |work - stored - dissipated| of a tensile test over its work; None if unknown."""
+    work, stored, dissipated = (
+        column(item.curve, name) for name in ("work", "stored", "dissipated")
+    )
+    if work is None or stored is None or dissipated is None or not np.nanmax(work, initial=0.0) > 0:
+        return None
+    return float(np.nanmax(np.abs(work - stored - dissipated)) / np.nanmax(work))
+
+
+def error_estimate(run: RunResults) -> str:
+    """The measured error of the preset where the scene carries one, else that there is none."""
+    estimate = run.scene_extras.get("error_estimate")
+    if estimate:
+        return str(estimate)
+    name = run.scene.resolution
+    preset = f"the preset “{name}”" if name in RESOLUTIONS else "these settings"
+    return (
+        f"The discretisation error of {preset} in the strength left has not been measured yet. "
+        "Until it is, read the numbers as a comparison of alloys and times, not as a prediction."
+    )
+
+
+def twice_as_sure(run: RunResults) -> str:
+    """What halving the discretisation error would cost, from the run's own times."""
+    seconds = {}
+    for _, record in run.records:
+        seconds[record.stage] = seconds.get(record.stage, 0.0) + record.seconds
+    corrosion, pulls = seconds.get("corrode"), seconds.get("pull")
+    if not corrosion or not pulls:
+        return "The run times needed for an estimate are not in this run."
+    corrode, pull = (format_seconds(value) for value in (corrosion, pulls))
+    return (
+        "Halving the spacing of the lattice and the edge length of the mesh means 8 times the "
+        "nodes and cells and, at the same horizon, 8 times the bonds of each node. From the times "
+        f"of this run: corrosion {corrode} → {format_seconds(8 * corrosion)} to "
+        f"{format_seconds(64 * corrosion)}; tensile tests {pull} → {format_seconds(8 * pulls)} or "
+        "more. That halves the error if it falls in proportion to the spacing, which this run "
+        "does not test. No computation makes the assumed strengths of the alloys any surer: that "
+        "takes a tensile test of the bar that the screw is cut from."
+    )
+
+
+def omissions(run: RunResults) -> list[dict[str, str]]:
+    """What the plan left out, with its bound, from the records of the corrosion stage."""
+    found = []
+    for alloy in run.alloys:
+        entries = alloy.corrosion_numbers.get("omissions", [])
+        for entry in entries if isinstance(entries, list) else []:
+            if isinstance(entry, dict):
+                found.append({"alloy": alloy.name, **{k: str(v) for k, v in entry.items()}})
+    return found
