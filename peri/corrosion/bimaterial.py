@@ -221,13 +221,13 @@ class BiMaterial:
                 new_active, new_theta = saturation.next_active_set(
                     active, self._take(y), needed, available, saturated
                 )
-                if np.any(needed[new_active] < -1e-9 * available[new_active]):
-                    raise BoundsError("saturation: the stage would need a negative inflow")
                 new_theta = np.where(self.box_liquid_volume > 0, new_theta, 0.0)
                 mismatch = tau * float((np.abs(new_theta - theta) * available)[active].sum())
                 unchanged = np.array_equal(new_active, active)
                 settled &= unchanged and mismatch <= 1e-9 * self.metal_scale * max(1e-3, loss)
                 if settled:
+                    if np.any(needed[active] < -1e-9 * available[active]):
+                        raise BoundsError("saturation: the stage would need a negative inflow")
                     break
                 active, theta = new_active, new_theta
             elif settled:
