@@ -73,9 +73,7 @@ def _system(a, beta, volume, mises, jacobian, strain, damage, material, kind, ha
     s_a, s_b, s_q = slope * e_a, slope * e_b, slope * e_q
 
     remaining = (1.0 - damage) * np.exp(-a)
-    f, f_a, f_b, f_q = 1.0 - remaining, remaining, 0.0, 0.0
-    if a == 0.0:
-        f = damage
+    f, f_a, f_b, f_q = damage * np.exp(-a) - np.expm1(-a), remaining, 0.0, 0.0
     if material[NUCLEATED] > 0.0:
         width = material[NUCLEATION_DEVIATION] * np.sqrt(2.0)
         old = (strain - material[NUCLEATION_MEAN]) / width
@@ -130,12 +128,18 @@ def _system(a, beta, volume, mises, jacobian, strain, damage, material, kind, ha
 
 @njit(cache=True, nogil=True)
 def _bracketed(volume, mises, jacobian, strain, damage, material, kind, hardening):
-    """Solve by nested bisection: beta from R2 at given a, a from R1. Never leaves the range."""
+    """Solve by nested bisection: beta from R2 at given a, a from R1. Never leaves the range.
+
+    Without pores at the start a = 0 solves the equations for any pressure; a second root, where a
+    finite step would open pores out of nothing, is an artefact of the implicit step and not sought.
+    """
     if volume >= 0.0:
         near, far = 0.0, volume
     else:
         near, far = 0.0, max(volume, np.log1p(-damage))
     a, beta = 0.0, 1.0
+    if damage == 0.0 and material[NUCLEATED] == 0.0:
+        far = 0.0
     for _ in range(_BISECTIONS):
         a = 0.5 * (near + far)
         low, high = 0.0, 1.0
@@ -170,6 +174,11 @@ def _bracketed(volume, mises, jacobian, strain, damage, material, kind, hardenin
                 near = a
         if abs(far - near) <= 1e-15 * abs(far):
             break
+    flow_now, _ = flow_stress(kind, hardening, strain)
+    if a != 0.0 and (beta == 0.0 or beta == 1.0 or mises <= 1e-9 * jacobian * flow_now):
+        # the yield surface alone fixes a (no trial deviator): the ratio follows from R1
+        flow, _, _ = _system(a, 0.0, volume, mises, jacobian, strain, damage, material, kind, hardening)
+        beta = -flow[0] / (a - flow[0])
     return a, beta
 
 
