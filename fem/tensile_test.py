@@ -189,9 +189,9 @@ def _prepare(points, cells, f0, material, grips, element, ranks) -> _Prepared:
         raise ValueError(f"cells name vertex {cells.max()}; there are {len(points)}")
     damage = np.asarray(f0, float)
     shape = (len(cells), element.points)
-    if damage.ndim == 1 and damage.shape == (len(cells),):
+    if damage.shape == (len(cells),):
         damage = damage[:, None]
-    if damage.ndim == 2 and damage.shape != shape and damage.shape != (len(cells), 1):
+    if damage.shape not in ((), (len(cells), 1), shape):
         raise ValueError(f"f0 has shape {damage.shape}; element {element.name} needs {shape}")
     damage = np.array(np.broadcast_to(damage, shape))
     limit = material.maximum_damage

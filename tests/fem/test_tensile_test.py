@@ -1,0 +1,235 @@
+"""The tensile test on small meshes: exact solutions, statuses, monotone mapping, refusals."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("dolfinx")
+
+from fem.constitutive import Material, VoceHardening
+from fem.quadrature import quadrature_points
+from fem.solid import Grips
+from fem.tensile_test import TensileSettings, peak_of_curve, tensile_test
+from tests.fem.meshes import box, round_bar
+from tests.fem.one_dimension import uniaxial_curve
+
+LAW = VoceHardening(130e6, 156e6, 10.6)
+MAGNESIUM = Material(43e9, 0.3, LAW)
+SMALL_BAR = round_bar(2, 4, 1e-3, 4e-3, waist=0.3)
+BAR = round_bar(4, 6, 1e-3, 4e-3, waist=0.3)
+ELEMENTS = ["P1", "P2", "P2-Fbar"]
+
+
+def distorted_box(shape=(2, 2, 3), size=(1e-3, 1e-3, 1.5e-3), amount=0.15):
+    """A box whose inner vertices are displaced at random."""
+    points, cells = box(shape, size)
+    spacing = np.array(size) / np.array(shape)
+    inner = np.all((points > 1e-9) & (points < np.array(size) - 1e-9), axis=1)
+    noise = np.random.default_rng(2).uniform(-amount, amount, points.shape) * spacing
+    points[inner] += noise[inner]
+    return points, cells
+
+
+@pytest.mark.parametrize("element", ELEMENTS)
+def test_patch(element):
+    """Uniform tension of a distorted mesh is uniform: displacement linear in position."""
+    points, cells = distorted_box()
+    settings = TensileSettings(
+        element=element, maximum_strain=0.02, full_curve=True, tolerance=1e-9, first_increment=0.01,
+        maximum_increment=0.01,
+    )  # fmt: skip
+    result = tensile_test(points, cells, 0.1, MAGNESIUM, settings)
+    assert result.status == "completed" and result.force[-1] > 80.0
+    design = np.c_[points, np.ones(len(points))]
+    fit, *_ = np.linalg.lstsq(design, result.displacement, rcond=None)
+    assert fit[2, 2] == pytest.approx(0.02, rel=1e-9)
+    # residual tolerance 1e-9 of the reaction: measured 4e-12 of the elongation
+    assert abs(design @ fit - result.displacement).max() < 1e-8 * result.elongation[-1]
+
+
+@pytest.mark.parametrize("f0", [0.0, 0.2])
+def test_bar_follows_the_independent_integration(f0):
+    """Force, strain and f of a uniform bar against tests/fem/one_dimension.py."""
+    points, cells = box((1, 1, 1), (1e-3, 1e-3, 1e-3))
+    settings = TensileSettings(
+        element="P1", maximum_strain=0.1, full_curve=True, tolerance=1e-8, maximum_increment=0.002
+    )
+    result = tensile_test(points, cells, f0, MAGNESIUM, settings)
+    strain, nominal, f, _ = uniaxial_curve(
+        43e9, 0.3, lambda e: 130e6 + 156e6 * (1 - np.exp(-10.6 * e)), 1.5, f0, 0.06 * 286e6
+    )
+    assert strain[-1] > 0.1
+    plastic = result.elongation > 0.006e-3
+    expected = np.interp(result.elongation[plastic] / result.length, strain, nominal) * 1e-6
+    assert plastic.sum() > 30
+    # backward Euler with steps of 0.2 % strain: measured 8e-5 (f0 = 0.2), 2e-5 (J2)
+    np.testing.assert_allclose(result.force[plastic], expected, rtol=5e-4)
+    grown = np.interp(0.1, strain, f)
+    assert result.history["largest_damage"][-1] == pytest.approx(grown, rel=2e-3, abs=1e-12)
+    assert (grown > 0.21) == (f0 > 0)
+
+
+def test_considere():
+    """Uniform J2 bar, 100 + 150 (1 - exp(-10 e)) MPa: strain 0.18871, strength 188.19 MPa."""
+    points, cells = box((1, 1, 1), (1e-3, 1e-3, 1e-3))
+    rigid = Material(1e13, 0.3, VoceHardening(100e6, 150e6, 10.0))
+    settings = TensileSettings(
+        element="P1", maximum_strain=0.3, tolerance=1e-7, maximum_increment=0.01, peak_drop=1e-4
+    )
+    result = tensile_test(points, cells, 0.0, rigid, settings)
+    assert result.status == "past_peak"
+    # parabola through points 1 % apart: measured 188.194 and 0.18868
+    assert result.peak_force == pytest.approx(188.19, rel=1e-4)
+    at = np.log1p(result.elongation_at_peak / result.length)
+    assert at == pytest.approx(0.18871, abs=5e-4)
+
+
+def test_locking_and_its_cure():
+    """Waisted bar: P1 is far too strong, F-bar at most as strong as P2."""
+    settings = {"maximum_strain": 0.03, "full_curve": True, "maximum_increment": 0.01}
+    force = {
+        element: tensile_test(*BAR, 0.0, MAGNESIUM, TensileSettings(element=element, **settings)).force[-1]
+        for element in ELEMENTS
+    }
+    assert force["P1"] > 1.05 * force["P2"]  # measured 1.07 times
+    assert 0.97 < force["P2-Fbar"] / force["P2"] <= 1.001  # measured 0.993
+
+
+def test_energy_balance():
+    """Work of the grips = stored + dissipated, to the error of the increments."""
+    residuals = []
+    for increment in (0.002, 0.001):
+        settings = TensileSettings(
+            maximum_strain=0.02, full_curve=True, first_increment=increment,
+            maximum_increment=increment, tolerance=1e-7,
+        )  # fmt: skip
+        history = tensile_test(*SMALL_BAR, 0.1, MAGNESIUM, settings).history
+        assert history["dissipated"][-1] > 0.9 * history["work"][-1] > 0
+        gap = history["work"] - history["stored"] - history["dissipated"]
+        residuals.append(abs(gap[-1]) / history["work"][-1])
+    # measured MEASURED
+    assert residuals[0] < 0.02 and residuals[1] < 0.7 * residuals[0]
+
+
+def test_statuses_of_corroded_solids():
+    points, cells = BAR
+    middle = points[cells, 2].mean(axis=1)
+    at_waist = abs(middle - 2e-3) < 0.4e-3
+    everything = tensile_test(points, cells, 2 / 3, MAGNESIUM)
+    assert everything.status == "fully_corroded" and everything.peak_force == 0.0
+    assert everything.dead_cells == len(cells)
+    severed = tensile_test(points, cells, np.where(at_waist, 2 / 3, 0.0), MAGNESIUM)
+    assert severed.status == "severed" and severed.peak_force == 0.0
+    assert severed.loose_pieces == 2 and severed.loose_cells == (~at_waist).sum()
+    apart = np.concatenate([points, points + [5e-3, 0, 1e-3]])
+    # a mesh in two pieces: each would have to join both ends, which are those of the whole mesh
+    both = np.concatenate([cells, cells + len(points)])
+    assert tensile_test(apart, both, 0.0, MAGNESIUM).status == "severed"
+
+
+def test_two_pieces_side_by_side_carry_twice_the_force():
+    points, cells = box((1, 1, 2), (1e-3, 1e-3, 2e-3))
+    settings = TensileSettings(element="P1", maximum_strain=0.02, full_curve=True, tolerance=1e-8)
+    one = tensile_test(points, cells, 0.0, MAGNESIUM, settings)
+    double = np.concatenate([points, points + [3e-3, 0, 0]])
+    two = tensile_test(
+        double, np.concatenate([cells, cells + len(points)]), 0.0, MAGNESIUM, settings
+    )
+    # both are uniaxial and exact: measured 1e-9, of the residual tolerance
+    np.testing.assert_allclose(two.force[1:], 2 * one.force[1:], rtol=1e-6)
+
+
+def test_loose_splinters_are_removed_and_a_ligament_is_kept():
+    points, cells = box((3, 3, 6), (3e-3, 3e-3, 6e-3))
+    centre = points[cells].mean(axis=1)
+    layer = abs(centre[:, 2] - 3.5e-3) < 0.5e-3
+    ligament = layer & (centre[:, 0] < 1e-3) & (centre[:, 1] < 1e-3)
+    f0 = np.where(layer & ~ligament, 2 / 3, 0.0)
+    splinter = np.flatnonzero((centre[:, 2] > 5e-3) & (centre[:, 0] > 2e-3) & (centre[:, 1] > 2e-3))
+    around = np.isin(cells, cells[splinter]).any(axis=1)
+    around[splinter] = False
+    f0[around] = 2 / 3
+    settings = TensileSettings(element="P1", maximum_strain=0.01)
+    result = tensile_test(points, cells, f0, MAGNESIUM, settings)
+    assert result.status in ("completed", "past_peak")
+    assert result.loose_pieces == 1 and result.loose_cells == len(splinter)
+    intact = tensile_test(points, cells, 0.0, MAGNESIUM, settings)
+    assert 0.05 < result.peak_force / intact.peak_force < 0.4  # one ninth of the section, P1
+
+
+def test_more_damage_never_gives_more_force():
+    rng = np.random.default_rng(7)
+    field = rng.uniform(0, 1, quadrature_points(*SMALL_BAR, "P2")[1].shape)
+    settings = TensileSettings(maximum_strain=0.02, full_curve=True, maximum_increment=0.01)
+    curves = []
+    for scale in (0.0, 0.05, 0.2, 0.4, 0.6):
+        result = tensile_test(*SMALL_BAR, scale * field, MAGNESIUM, settings)
+        curves.append(np.interp([0.01, 0.02], result.elongation / result.length, result.force))
+    assert np.all(np.diff(curves, axis=0) < 0)
+
+
+def test_clamped_grips_hold_lateral_motion():
+    settings = {"element": "P2-Fbar", "maximum_strain": 0.005, "full_curve": True}
+    points, cells = box((2, 2, 3), (1e-3, 1e-3, 1e-3))
+    free = tensile_test(points, cells, 0.0, MAGNESIUM, TensileSettings(**settings))
+    clamped = tensile_test(
+        points, cells, 0.0, MAGNESIUM, TensileSettings(**settings, grips=Grips(lateral="clamped"))
+    )
+    ends = (points[:, 2] == 0) | (points[:, 2] == points[:, 2].max())
+    assert abs(clamped.displacement[ends, :2]).max() == 0.0
+    assert abs(free.displacement[ends, :2]).max() > 1e-6 * 1e-3
+    assert clamped.force[-1] > 1.02 * free.force[-1]  # measured 1.10
+
+
+def test_grip_length_shortens_the_free_part():
+    points, cells = box((1, 1, 4), (1e-3, 1e-3, 4e-3))
+    settings = TensileSettings(
+        element="P1", maximum_strain=0.001, first_increment=0.001, full_curve=True, tolerance=1e-8,
+        grips=Grips(bottom_length=1e-3, top_length=1e-3),
+    )  # fmt: skip
+    result = tensile_test(points, cells, 0.0, Material(43e9, 0.0, LAW), settings)
+    # elastic, half the length free, no lateral strain: E log(1.002) / 1.002 times the section
+    expected = 43e9 * np.log(1.002) / 1.002 * 1e-6
+    assert result.force[-1] == pytest.approx(expected, rel=1e-7)  # measured 1e-12
+
+
+def test_peak_of_curve():
+    x = np.array([0.0, 1.0, 2.0, 3.0])
+    at, peak = peak_of_curve(x, 5 - (x - 1.8) ** 2)
+    assert at == pytest.approx(1.8) and peak == pytest.approx(5.0)
+    assert peak_of_curve(x, x) == (3.0, 3.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"f0": 0.7}, "f0 runs"),
+        ({"f0": np.zeros(3)}, "f0 has shape"),
+        ({"f0": float("nan")}, "f0 runs"),
+        ({"points": np.zeros((8, 2))}, "points have shape"),
+        ({"cells": np.full((2, 4), 99)}, "there are 8"),
+        ({"cells": np.zeros((2, 3), int)}, "cells have shape"),
+        ({"settings": TensileSettings(grips=Grips(bottom_length=1.0))}, "shorter than the solid"),
+    ],
+)
+def test_refuses(change, words):
+    points, cells = box((1, 1, 1), (1e-3, 1e-3, 1e-3))
+    call = {"points": points, "cells": cells, "f0": 0.0, "material": MAGNESIUM, **change}
+    with pytest.raises(ValueError, match=words):
+        tensile_test(**call)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: TensileSettings(element="P3"), "P1, P2"),
+        (lambda: TensileSettings(maximum_strain=0.0), "maximum_strain"),
+        (lambda: TensileSettings(linear_solver="magic"), "auto, mumps, gamg"),
+        (lambda: Material(43e9, 0.5, LAW), "poisson"),
+        (lambda: Material(-1.0, 0.3, LAW), "young"),
+        (lambda: Material(43e9, 0.3, LAW, coalescence=0.1), "together"),
+        (lambda: Grips(lateral="glued"), "clamped"),
+    ],
+)
+def test_settings_refuse(make, words):
+    with pytest.raises(ValueError, match=words):
+        make()
