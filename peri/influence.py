@@ -151,6 +151,11 @@ def diffusion_stencil(
         * lattice.cell_volume
         / bonds.bond_length ** (d + 2.0 * kernel_exponent)
     )
+    if np.any((bonds.multiplicity * weight) @ bonds.bond**2 <= 0):
+        raise ValueError(
+            f"influence: {influence!r} leaves no bond along an axis of this lattice; "
+            "use 'constant' or a longer horizon"
+        )
     if calibration == "discrete":
         weight = weight * _moment_correction(bonds, weight)
     octant = np.zeros(tuple(bonds.offsets.max(axis=0) + 1))
@@ -164,11 +169,6 @@ def _moment_correction(bonds, weight: np.ndarray) -> np.ndarray:
     direction_squared = squared / bonds.bond_length[:, None] ** 2
     moments = (bonds.multiplicity * weight)[:, None] * squared
     matrix = moments.T @ direction_squared
-    if np.any(np.diag(matrix) <= 0):
-        raise ValueError(
-            "influence: 'linear' leaves no bond along an axis of this lattice; "
-            "use 'constant' or a longer horizon"
-        )
     scale = np.linalg.solve(matrix, np.full(matrix.shape[0], 2.0))
     factor = direction_squared @ scale
     if np.any(factor <= 0):
