@@ -1,0 +1,184 @@
+"""What a scene need not compute, with a bound on the error of leaving it out.
+
+Every decision is taken from the scene alone, before the march.  A bound is relative to V_L and
+holds for the discrete scene as stated; tests/peri/corrosion/test_planning.py compares the true
+errors with it.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from peri.corrosion.bimaterial import BiMaterial
+from peri.corrosion.run import CorrosionResult, corrode
+from peri.corrosion.scene import CorrosionScene
+from peri.corrosion.well_stirred import well_stirred
+from peri.marching import TimeStepping
+from peri.solvers import ConvergenceError, DiffusionSystem
+
+log = logging.getLogger(__name__)
+
+LIQUID = "liquid"
+SOLID_CORE = "solid_core"
+DEFAULT_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True)
+class Omission:
+    """One thing that a scene could leave out.
+
+    name : how to refuse it.  reason : one sentence.  bound : of the relative error of V_L
+    (infinite where it cannot be left out).  applied : whether the plan leaves it out.
+    """
+
+    name: str
+    reason: str
+    bound: float
+    applied: bool
+
+
+def liquid_bound(scene: CorrosionScene) -> np.ndarray:
+    """An upper bound of the liquid's concentration at every node and time, mol/m^3.
+
+    The interface inflow never exceeds its first value into clean liquid (the metal only loses,
+    the kinetics only slows), and the liquid's matrix is an M-matrix, so the steady state of that
+    first inflow bounds the march, saturation left aside.  One linear solution.
+
+    Returns
+    -------
+    array of the lattice's shape; infinite where liquid cannot reach refreshed medium.
+    """
+    problem = BiMaterial(scene)
+    out = np.zeros(scene.lattice.shape)
+    if problem.box is None:
+        return out
+    unbounded = np.where(problem.sum.crop(problem.free.astype(float)) > 0, np.inf, 0.0)
+    rate = problem.base_diffusivity * scene.kinetics.factor(0.0)
+    if rate == 0:
+        return out
+    if not problem.fixed.any():
+        return unbounded
+    seen = problem.box(problem.box_metal_volume)
+    inflow = np.zeros(problem.sum.padded_shape)
+    inflow[problem._window] = (
+        problem.box_free_volume * rate * scene.solid_concentration * seen
+    )[problem.box.interior]
+    weight = np.where(problem.free, problem.capacity, 0.0)
+    diagonal = scene.liquid_diffusivity * problem.neighbour_liquid
+    fixed_share = problem.sum(np.where(problem.fixed, problem.capacity, 0.0))
+    sink = weight * scene.liquid_diffusivity * fixed_share
+    system = DiffusionSystem(problem.sum, weight, diagonal, scene.liquid_diffusivity, sink)
+    steady = np.zeros(problem.sum.padded_shape)
+    norm = float(np.linalg.norm(inflow))
+    try:
+        system.solve(steady, inflow, 1e-8 * norm)
+    except ConvergenceError as error:
+        log.info("no bound for the liquid: %s", error)
+        return unbounded
+    # The factor covers the linear solver's tolerance.
+    return 1.0001 * np.maximum(problem.sum.crop(steady), 0.0)
+
+
+def plan_omissions(
+    scene: CorrosionScene,
+    end_time: float,
+    tolerance: float = DEFAULT_TOLERANCE,
+    refused: Collection[str] = (),
+) -> list[Omission]:
+    """What the march to `end_time` (s) can leave out within `tolerance` of V_L.
+
+    Raises
+    ------
+    ValueError
+        For a tolerance outside [0, 1) or an unknown name in `refused`.
+    """
+    if not 0 <= tolerance < 1:
+        raise ValueError(f"tolerance: {tolerance}; it must be from 0 to below 1")
+    unknown = set(refused) - {LIQUID, SOLID_CORE}
+    if unknown:
+        raise ValueError(f"refused: {sorted(unknown)}; known: {LIQUID}, {SOLID_CORE}")
+    return [_solid_core(scene), _liquid(scene, end_time, tolerance, refused)]
+
+
+def _solid_core(scene: CorrosionScene) -> Omission:
+    count = int(scene.metal.sum())
+    return Omission(
+        SOLID_CORE,
+        f"diffusion between the {count} metal nodes is not part of the model, so each one is "
+        "eliminated exactly and metal beyond the horizon of all liquid costs nothing",
+        0.0,
+        True,
+    )
+
+
+def _liquid(scene, end_time, tolerance, refused) -> Omission:
+    """Clean liquid instead of a computed one.
+
+    In stretched time ds = g dt, C_i' = -lambda_i (C_i - mean of C_liquid), so with
+    eps = max C_liquid / C_solid each node's loss differs by at most the share eps; a kinetics
+    that only slows with V_L keeps V_L(t) within eps / (1 - eps) of the clean-liquid value.
+    """
+    factors = [scene.kinetics.factor(v) for v in np.linspace(0.0, 1.0, 101)]
+    if np.any(np.diff(factors) > 0):
+        return Omission(LIQUID, "needed: the kinetics speeds up with volume loss", math.inf, False)
+    bound = liquid_bound(scene)
+    reach = bound[scene.domain & ~scene.metal].max(initial=0.0)
+    if not np.isfinite(reach):
+        return Omission(
+            LIQUID, "needed: some liquid cannot reach refreshed medium and fills up", math.inf, False
+        )
+    if reach >= scene.saturation_concentration and scene.saturation != "none":
+        return Omission(
+            LIQUID,
+            f"needed: its concentration may reach {reach:.3g} mol/m3, at or above saturation "
+            f"({scene.saturation_concentration:.3g})",
+            math.inf,
+            False,
+        )
+    epsilon = reach / scene.solid_concentration
+    error = epsilon / (1.0 - epsilon) if epsilon < 1 else math.inf
+    reduced = well_stirred(scene, [end_time])
+    lost = int((scene.metal & ~reduced.metal[-1]).sum())
+    if lost:
+        return Omission(
+            LIQUID,
+            f"needed: {lost} metal nodes turn liquid by the end and expose others",
+            math.inf,
+            False,
+        )
+    return Omission(
+        LIQUID,
+        f"its concentration stays below {reach:.3g} mol/m3, {epsilon:.1e} of the solid's and "
+        f"below saturation ({scene.saturation_concentration:.3g}), and no metal node dissolves: "
+        "clean liquid, one scalar equation",
+        error,
+        error <= tolerance and LIQUID not in refused,
+    )
+
+
+def corrode_lean(
+    scene: CorrosionScene,
+    times: Sequence[float],
+    stepping: TimeStepping | None = None,
+    *,
+    tolerance: float = DEFAULT_TOLERANCE,
+    refused: Collection[str] = (),
+    progress: Callable[[float, str], None] | None = None,
+    checkpoint: Path | None = None,
+    resume: bool = False,
+    **march,
+) -> tuple[CorrosionResult, list[Omission]]:
+    """`corrode` without what the scene does not need; also returns what was left out."""
+    omissions = plan_omissions(scene, float(np.max(times)), tolerance, refused)
+    if any(o.name == LIQUID and o.applied for o in omissions):
+        return well_stirred(scene, times), omissions
+    result = corrode(
+        scene, times, stepping, progress=progress, checkpoint=checkpoint, resume=resume, **march
+    )
+    return result, omissions

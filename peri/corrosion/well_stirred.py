@@ -1,0 +1,93 @@
+"""The well-stirred limit: clean liquid, one scalar equation, exact in space.
+
+Where the liquid stays far below C_sat and C_solid, a metal node obeys C_i' = -lambda_i g(V_L) C_i
+with lambda_i its interface bond sum, so C_i = C_solid exp(-lambda_i s) and s' = g(V_L(s)): the
+whole problem is one ordinary differential equation (MODEL: bi-material corrosion, well-stirred
+limit).  It serves as an oracle for every solver, and in place of the march where a bound on the
+liquid's concentration allows it (corrosion.planning).
+"""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from peri.corrosion.bimaterial import BiMaterial
+from peri.corrosion.run import HISTORY, CorrosionResult
+from peri.corrosion.scene import CorrosionScene
+
+
+def well_stirred(
+    scene: CorrosionScene, times: Sequence[float], tolerance: float = 1e-10
+) -> CorrosionResult:
+    """Corrode a scene as if all liquid were clean.
+
+    Valid until the first metal node falls below C_sat; nodes that do turn liquid are treated as
+    metal for the bonds of others (their own loss goes on), which `planning` bounds.
+
+    Parameters
+    ----------
+    scene : CorrosionScene
+        Saturation and liquid diffusivity play no part.
+    times : sequence of float
+        s, ascending, >= 0.
+    tolerance : float
+        Relative tolerance of the scalar equation.
+
+    Returns
+    -------
+    CorrosionResult
+        Liquid concentrations are 0; history has one row per output time.
+    """
+    started = clock.perf_counter()
+    times = np.asarray(times, float)
+    problem = BiMaterial(scene)
+    rates = problem.metal_rates()[scene.metal]
+    volumes = scene.capacity()[scene.metal]
+    exposed = rates > 0
+    # Nodes of (nearly) one rate form one class: the sums below run over classes, exactly.
+    levels, member = np.unique(rates[exposed], return_inverse=True)
+    weights = np.bincount(member, volumes[exposed], levels.size)
+    solid, saturated = scene.solid_concentration, scene.saturation_concentration
+    scale = volumes.sum() * (solid - saturated)
+
+    def loss(s: float) -> float:
+        """V_L as a function of the stretched time s."""
+        if scale == 0:
+            return 0.0
+        return min(1.0, solid * float(weights @ -np.expm1(-levels * s)) / scale)
+
+    fastest = levels.max(initial=0.0) * scene.kinetics.factor(0.0)
+    stretched = np.zeros(times.size)
+    if fastest > 0 and times[-1] > 0:
+        solution = solve_ivp(
+            lambda t, s: [scene.kinetics.factor(loss(s[0]))],
+            (0.0, times[-1]),
+            [0.0],
+            method="DOP853",
+            t_eval=times,
+            rtol=tolerance,
+            atol=tolerance / fastest,
+        )
+        stretched = solution.y[0]
+    concentration = np.zeros((times.size, *scene.lattice.shape))
+    for n, s in enumerate(stretched):
+        concentration[n][scene.metal] = solid * np.exp(-rates * s)
+    losses = np.array([loss(s) for s in stretched])
+    metal = concentration >= saturated
+    amounts = scene.lattice.cell_volume * np.array([c[scene.metal] @ volumes for c in concentration])
+    initial = scene.lattice.cell_volume * volumes.sum() * solid
+    history = {name: np.zeros(times.size) for name in HISTORY}
+    history.update(
+        time=times,
+        step=np.diff(times, prepend=0.0),
+        volume_loss=losses,
+        metal_amount=amounts,
+        released_amount=initial - amounts,
+    )
+    return CorrosionResult(
+        scene, times, concentration, metal, losses, history, clock.perf_counter() - started
+    )
