@@ -165,6 +165,20 @@ def convolve(u, out, tiles, low, high, reach, source_a, source_b, shell_start, w
 
 
 @_by_size(fastmath=_CONTRACT)
+def inner_product(a, b):
+    """sum a b per plane (not by BLAS, whose own threads would compete with these)."""
+    partial = np.zeros(a.shape[0])
+    for i in prange(a.shape[0]):
+        total = 0.0
+        for j in range(a.shape[1]):
+            ar, br = a[i, j], b[i, j]
+            for k in range(a.shape[2]):
+                total += ar[k] * br[k]
+        partial[i] = total
+    return partial
+
+
+@_by_size(fastmath=_CONTRACT)
 def next_direction(z, p, weight, q, beta, low, high, reach):
     """p = z + beta p;  q = weight p."""
     ra, rb, rc = reach

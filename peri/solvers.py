@@ -18,7 +18,7 @@ from peri.operators import NonlocalSum
 
 log = logging.getLogger(__name__)
 
-_COARSEST_CELLS = 400
+_COARSEST_CELLS = 150
 _SMOOTHING_STEPS = 2
 
 
@@ -44,12 +44,14 @@ class LocalMultigrid:
         D / dx_a^2 per axis, 1/s.
     spacing : tuple of float
         Cell size per axis, m.
-    coarsest_start : float
-        Cells no larger than this (m) along an axis are aggregated before the first level.
+    coarsest_start : float or sequence
+        Cells no larger than this (m, per axis) along an axis are aggregated before the first
+        level.
     """
 
-    def __init__(self, capacity, sink, conductance, spacing, coarsest_start: float = 0.0) -> None:
+    def __init__(self, capacity, sink, conductance, spacing, coarsest_start=0.0) -> None:
         spacing = np.array(spacing, float)
+        start = np.broadcast_to(np.asarray(coarsest_start, float), (3,))
         t = []
         for a in range(3):
             face = np.zeros_like(capacity)
@@ -59,9 +61,7 @@ class LocalMultigrid:
             t.append(face)
         self.factors = np.ones(3, np.int64)
         while True:
-            grow = np.array(
-                [2 * h <= coarsest_start and n > 2 for h, n in zip(spacing, sink.shape, strict=True)]
-            )
+            grow = (2 * spacing <= start) & (np.array(sink.shape) > 2)
             if not grow.any():
                 break
             sink, t = _coarsen(sink, t, grow)
@@ -212,7 +212,7 @@ class DiffusionSystem:
         self.mask = (weight > 0).astype(float)
         self.inverse = np.where(full > 0, 1.0 / np.where(full > 0, full, 1.0), 0.0)
         spacing = (1.0,) * (3 - len(bond_sum.stencil.spacing)) + bond_sum.stencil.spacing
-        horizon = max(h * r for h, r in zip(spacing, bond_sum.reach, strict=True))
+        horizon = np.multiply(spacing, bond_sum.reach)
         self.multigrid = LocalMultigrid(
             weight[bond_sum.interior],
             (sink * self.mask)[bond_sum.interior],
@@ -255,7 +255,7 @@ class DiffusionSystem:
         """
         z, p, q, y = self._work
         p[:] = 0.0
-        norm = float(np.sqrt(np.vdot(r, r)))
+        norm = float(np.sqrt(kernels.inner_product(r, r).sum()))
         rho_old, iterations = 1.0, 0
         while not norm <= absolute:
             if not np.isfinite(norm) or iterations == maximum_iterations:

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from peri import kernels
 from peri.corrosion import saturation
 from peri.corrosion.scene import CorrosionScene
 from peri.operators import NonlocalSum
@@ -25,6 +26,10 @@ log = logging.getLogger(__name__)
 
 _MAXIMUM_ROUNDS = 60
 _LOSS_TOLERANCE = 1e-9
+
+
+def _norm(values: np.ndarray) -> float:
+    return float(np.sqrt(kernels.inner_product(values, values).sum()))
 
 
 class BoundsError(ArithmeticError):
@@ -127,7 +132,7 @@ class BiMaterial:
         if self._loss_scale == 0:
             return 0.0
         values = concentration[self.metal] - self.scene.saturation_concentration
-        left = float(np.dot(values, self.capacity[self.metal]))
+        left = float((values * self.capacity[self.metal]).sum())
         return min(1.0, max(0.0, 1.0 - left / self._loss_scale))
 
     def amounts(self, concentration: np.ndarray) -> tuple[float, float]:
@@ -259,7 +264,7 @@ class BiMaterial:
 
     def _loss_of(self, box_metal_concentration: np.ndarray) -> float:
         values = box_metal_concentration[self.box_metal] - self.scene.saturation_concentration
-        left = float(np.dot(values, self.box_metal_volume[self.box_metal]))
+        left = float((values * self.box_metal_volume[self.box_metal]).sum())
         return min(1.0, max(0.0, 1.0 - left / self._loss_scale))
 
     def _liquid_only_stage(self, old, tau, guess) -> Stage:
@@ -278,10 +283,10 @@ class BiMaterial:
         gain = np.zeros(self.sum.padded_shape)
         self.sum(self.liquid_volume * y, gain)
         r = weight * ((old - y) / tau + d * (gain - self.neighbour_liquid * y))
-        scale = float(np.linalg.norm(weight * old)) / tau
+        scale = _norm(weight * old) / tau
         if state is not None:
             source = state.liquid_gain(self._take(y))
-            scale += float(np.linalg.norm(source))
+            scale += _norm(source)
             source *= self._take(weight > 0)
             r[self._window] += source[self.box.interior]
         return system.solve(y, r, self.tolerance * scale)
@@ -315,7 +320,7 @@ class BiMaterial:
             through = state.through_metal(box_u)
             share = state.theta * unknown * state.rate * (state.seen_metal * box_u - through)
             y[self._window] += share[self.box.interior]
-            return float(np.vdot(share, box_u))
+            return float(kernels.inner_product(share, box_u).sum())
 
         return add
 
