@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,11 +15,28 @@ from pathlib import Path
 
 import gmsh
 import numpy as np
-from scipy.interpolate import BSpline, make_interp_spline
 
 from pipeline.mesh import TetrahedralMesh, cell_volumes, mesh_quality, read_mesh, write_mesh
 from pipeline.screw import ScrewParameters, reference_volume_and_area
-from pipeline.surface import Solid, bounding_box, surface_volume_and_area
+from pipeline.surface import (
+    Solid,
+    bounding_box,
+    check_surface,
+    read_stl,
+    smallest_feature,
+    surface_volume_and_area,
+)
+from pipeline.thread import (
+    MM,
+    HelixTurn,
+    ProfilePiece,
+    helix_turn,
+    line_piece,
+    multiplicities,
+    profile_pieces,
+    seam_angle,
+)
+from pipeline.units import metres
 
 __all__ = [
     "ScrewParameters",
@@ -27,15 +45,16 @@ __all__ = [
     "contains",
     "read_mesh",
     "screw_solid",
+    "solid_from_file",
     "tetrahedral_mesh",
+    "write_cad",
     "write_mesh",
 ]
 
 logger = logging.getLogger(__name__)
 
-MM = 1e3  # model units per m
-_TURN_INTERVALS = 24  # cubic pieces per turn: the helix is off by 1e-5 of its radius at most
-_ROOT_INTERVALS = 4  # per half of the root
+STEP, BREP, STL = (".step", ".stp"), (".brep", ".brp"), (".stl",)
+STL_EDGE_ANGLE = math.radians(25.0)  # between triangles, from where on an edge of an STL is sharp
 
 
 @contextmanager
@@ -84,6 +103,80 @@ def screw_solid(parameters: ScrewParameters) -> Solid:
         return _finished_solid(name, body, reference, parameters.smallest_feature)
 
 
+def solid_from_file(path: str | Path, unit: str = "mm") -> Solid:
+    """The one closed solid of a STEP, BREP or STL file.
+
+    unit: of the numbers in a BREP or STL file (m, cm, mm, um, inch). A STEP file carries its own
+    unit and is converted; any other ``unit`` than mm is refused for it. Raises FileNotFoundError,
+    or ValueError for another suffix, an unknown unit, a file that cannot be read, and surfaces
+    that are empty, open, not manifold, inverted, of several bodies, or that cross themselves.
+    """
+    path = Path(path)
+    scale = metres(1.0, unit, "solid")
+    kind = path.suffix.lower()
+    if kind not in (*STEP, *BREP, *STL):
+        allowed = ", ".join((*STEP, *BREP, *STL))
+        raise ValueError(f"solid is {path.name!r}: allowed are files that end in {allowed}.")
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"solid {path} does not exist: allowed is a STEP, BREP or STL file."
+        )
+    if kind in STEP and unit != "mm":
+        raise ValueError(f"unit is {unit!r}: a STEP file carries its own unit, allowed is mm.")
+    if kind in STL:
+        points, triangles = read_stl(path, scale)
+        check_surface(points, triangles, path.name)
+        measured = surface_volume_and_area(points, triangles)
+        return Solid(
+            name=path.name,
+            volume=measured[0],
+            area=measured[1],
+            reference_volume=measured[0],
+            reference_area=measured[1],
+            bounding_box=bounding_box(points),
+            smallest_feature=smallest_feature(points, triangles),
+            points=points,
+            triangles=triangles,
+        )
+    with _gmsh_session():
+        occ = gmsh.model.occ
+        try:
+            shapes = occ.importShapes(str(path))
+        except Exception as error:
+            raise ValueError(
+                f"{path.name} cannot be read as {kind[1:].upper()}: {error}"
+            ) from error
+        volumes = [shape for shape in shapes if shape[0] == 3]
+        if len(volumes) != 1:
+            why = "its surface is open or it is empty" if not volumes else "allowed is exactly 1"
+            raise ValueError(f"{path.name} holds {len(volumes)} solids: {why}.")
+        if kind in BREP and scale * MM != 1.0:
+            occ.dilate(volumes, 0, 0, 0, *(3 * [scale * MM]))
+        occ.synchronize()
+        if occ.getMass(*volumes[0]) <= 0:
+            raise ValueError(f"{path.name} is inverted: the volume of its solid is not positive.")
+        solid = _finished_solid(path.name, volumes[0])
+    check_surface(solid.points, solid.triangles, solid.name)
+    return solid
+
+
+def write_cad(solid: Solid, path: str | Path) -> None:
+    """Write a solid's CAD model as STEP or BREP (mm), by the suffix of the path.
+
+    Raises ValueError for a solid without CAD model (STL) or another suffix.
+    """
+    path = Path(path)
+    if not solid.cad:
+        raise ValueError(f"{solid.name} has no CAD model: allowed are screws, STEP and BREP.")
+    if path.suffix.lower() not in (*STEP, *BREP):
+        allowed = ", ".join((*STEP, *BREP))
+        raise ValueError(f"path is {path.name!r}: allowed are files that end in {allowed}.")
+    with _gmsh_session(), tempfile.TemporaryDirectory(dir=path.parent) as folder:
+        _load_cad(solid.cad)
+        gmsh.write(str(Path(folder) / path.name))
+        os.replace(Path(folder) / path.name, path)
+
+
 def contains(solid: Solid, points: np.ndarray) -> np.ndarray:
     """Which of the points (n, 3) in m lie inside, by OpenCASCADE's classifier (slow; for checks).
 
@@ -99,9 +192,7 @@ def contains(solid: Solid, points: np.ndarray) -> np.ndarray:
         return inside
 
 
-def tetrahedral_mesh(
-    solid: Solid, size: float, size_fine: float | None = None
-) -> TetrahedralMesh:
+def tetrahedral_mesh(solid: Solid, size: float, size_fine: float | None = None) -> TetrahedralMesh:
     """Tetrahedra of edge length ``size`` (m) inside and ``size_fine`` along thread and slot.
 
     ``size_fine`` (default: half of ``size``) holds on the sharp edges of the solid - the helices
@@ -125,11 +216,19 @@ def tetrahedral_mesh(
         )
     reasons = []
     # (2D algorithm, 3D algorithm, factor on both sizes): frontal 6, Delaunay 5; HXT 10, Delaunay 1
-    for plane, space, factor in ((6, 10, 1.0), (6, 1, 1.0), (5, 10, 0.95), (6, 10, 0.9), (5, 1, 0.85)):
+    for plane, space, factor in (
+        (6, 10, 1.0),
+        (6, 1, 1.0),
+        (5, 10, 0.95),
+        (6, 10, 0.9),
+        (5, 1, 0.85),
+    ):
         try:
             with _gmsh_session():
-                _load_cad(solid.cad)
-                points, cells = _mesh_model(size * factor * MM, size_fine * factor * MM, plane, space)
+                _load_solid(solid)
+                points, cells = _mesh_model(
+                    size * factor * MM, size_fine * factor * MM, plane, space
+                )
         except Exception as error:
             reasons.append(str(error).strip())
             logger.info("mesh attempt failed: %s", reasons[-1])
@@ -156,10 +255,10 @@ def _mesh_model(
     if not len(corner):
         raise RuntimeError("gmsh made no tetrahedra")
     cells = index[corner.astype(np.int64)].reshape(-1, 4)
-    used = np.unique(cells)
-    renumber = np.full(len(points), -1)
-    renumber[used] = np.arange(len(used))
-    points, cells = points[used], renumber[cells]
+    points, cells = _used_only(points, cells)
+    for level in (points[:, 2].min(), points[:, 2].max()):
+        near = np.abs(points[:, 2] - level) < 1e-8 * np.ptp(points[:, 2])
+        points[near, 2] = round(level, 12)  # the ends are planes to the last digit
     turned = cell_volumes(points, cells) < 0
     cells[turned] = cells[turned][:, [0, 2, 1, 3]]
     return points, cells
@@ -176,7 +275,7 @@ def _size_field(size: float, size_fine: float) -> None:
     field = gmsh.model.mesh.field
     distance = field.add("Distance")
     edges = [tag for _, tag in gmsh.model.getEntities(1)]
-    longest = max(gmsh.model.occ.getMass(1, tag) for tag in edges)
+    longest = max((_curve_length(tag) for tag in edges), default=1.0)
     field.setNumbers(distance, "CurvesList", edges)
     field.setNumber(distance, "Sampling", max(20, min(2000, math.ceil(2 * longest / size_fine))))
     grow = field.add("Threshold")
@@ -186,6 +285,12 @@ def _size_field(size: float, size_fine: float) -> None:
     field.setNumber(grow, "DistMin", 0.5 * size_fine)
     field.setNumber(grow, "DistMax", 2 * size)
     field.setAsBackgroundMesh(grow)
+
+
+def _curve_length(tag: int) -> float:
+    low, high = gmsh.model.getParametrizationBounds(1, tag)
+    points = gmsh.model.getValue(1, tag, np.linspace(low[0], high[0], 33)).reshape(-1, 3)
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
 
 def _nodes() -> tuple[np.ndarray, np.ndarray]:
@@ -198,7 +303,10 @@ def _nodes() -> tuple[np.ndarray, np.ndarray]:
 
 
 def _finished_solid(
-    name: str, body: tuple[int, int], reference: tuple[float, float] | None, feature: float | None
+    name: str,
+    body: tuple[int, int],
+    reference: tuple[float, float] | None = None,
+    feature: float | None = None,
 ) -> Solid:
     """Measure, triangulate and store the one solid that the model is to hold."""
     occ = gmsh.model.occ
@@ -209,7 +317,7 @@ def _finished_solid(
     volume = occ.getMass(*body) / MM**3
     area = sum(occ.getMass(*face) for face in keep) / MM**2
     cad = _save_cad()
-    points, triangles = _triangulate(feature, body)
+    points, triangles = _triangulate(body, feature)
     measured = surface_volume_and_area(points, triangles)
     return Solid(
         name=name,
@@ -218,19 +326,19 @@ def _finished_solid(
         reference_volume=(reference or measured)[0],
         reference_area=(reference or measured)[1],
         bounding_box=bounding_box(points),
-        smallest_feature=feature,
+        smallest_feature=feature or smallest_feature(points, triangles),
         points=points,
         triangles=triangles,
         cad=cad,
     )
 
 
-def _triangulate(feature: float, body: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+def _triangulate(body: tuple[int, int], feature: float | None) -> tuple[np.ndarray, np.ndarray]:
     """Fine triangulation of the loaded model: points in m, outward triangles."""
     option = gmsh.option.setNumber
     corners = np.array(gmsh.model.getBoundingBox(*body))
     extent = float(np.max(corners[3:] - corners[:3]))
-    size = min(feature / 3 * MM, extent / 60)
+    size = extent / 60 if feature is None else min(feature / 3 * MM, extent / 60)
     option("Mesh.MeshSizeFromCurvature", 18)
     option("Mesh.MeshSizeMax", size)
     option("Mesh.MeshSizeMin", size / 8)
@@ -238,10 +346,12 @@ def _triangulate(feature: float, body: tuple[int, int]) -> tuple[np.ndarray, np.
     gmsh.model.mesh.generate(2)
     points, index = _nodes()
     triangles = index[gmsh.model.mesh.getElementsByType(2)[1].astype(np.int64)].reshape(-1, 3)
-    used = np.unique(triangles)
-    renumber = np.full(len(points), -1)
-    renumber[used] = np.arange(len(used))
-    return points[used], renumber[triangles]
+    return _used_only(points, triangles)
+
+
+def _used_only(points: np.ndarray, elements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    used, elements = np.unique(elements, return_inverse=True), elements.shape
+    return points[used[0]], used[1].reshape(elements)
 
 
 def _save_cad() -> str:
@@ -261,6 +371,23 @@ def _load_cad(cad: str) -> int:
     return _one_volume(shapes, "model")[1]
 
 
+def _load_solid(solid: Solid) -> None:
+    """Load a solid's CAD model, or make a model of the patches of its triangles."""
+    if solid.cad:
+        _load_cad(solid.cad)
+        return
+    mesh = gmsh.model.mesh
+    patch = gmsh.model.addDiscreteEntity(2)
+    tags = np.arange(1, len(solid.points) + 1)
+    mesh.addNodes(2, patch, tags, (solid.points * MM).ravel())
+    mesh.addElementsByType(patch, 2, [], solid.triangles.ravel() + 1)
+    mesh.classifySurfaces(STL_EDGE_ANGLE, True, True, math.pi)
+    mesh.createGeometry()
+    loop = gmsh.model.geo.addSurfaceLoop([tag for _, tag in gmsh.model.getEntities(2)])
+    gmsh.model.geo.addVolume([loop])
+    gmsh.model.geo.synchronize()
+
+
 def _one_volume(shapes: list[tuple[int, int]], what: str) -> tuple[int, int]:
     volumes = [shape for shape in shapes if shape[0] == 3]
     if len(volumes) != 1:
@@ -271,114 +398,58 @@ def _one_volume(shapes: list[tuple[int, int]], what: str) -> tuple[int, int]:
 # --- the bodies of threads, in mm ---------------------------------------------------------------
 
 
-def _profile(screw: ScrewParameters) -> list[tuple[np.ndarray, int, np.ndarray, np.ndarray]]:
-    """Crest, flank, two halves of the root, flank of one pitch from u = -crest/2, as B-splines.
-
-    The root is halved so that meshes have nodes on its bottom; a chord across the whole root
-    would add 1 % to the volume. Each piece is (knots in mm of arc length, degree, radii of the poles, axial distances of the poles).
-    """
-    half, flank, pitch = (
-        v * MM for v in (screw.crest_width / 2, screw.flank_width, screw.pitch)
-    )
-    outer, inner = screw.diameter / 2 * MM, screw.minor_diameter / 2 * MM
-
-    def line(u0: float, u1: float, r0: float, r1: float):
-        length = math.hypot(u1 - u0, r1 - r0)
-        return np.array([0.0, 0.0, length, length]), 1, np.array([r0, r1]), np.array([u0, u1])
-
-    middle = pitch / 2
-    if screw.root_depth == 0.0:
-        halves = [
-            line(half + flank, middle, inner, inner),
-            line(middle, pitch - half - flank, inner, inner),
-        ]
-    else:
-        radius = screw.root_radius * MM
-        centre = screw.root_diameter / 2 * MM + radius
-        angle = math.asin(screw.root_width * MM / 2 / radius)
-
-        def arc(start: float, end: float):
-            sine, cosine = _sine_and_cosine(start, end, _ROOT_INTERVALS)
-            knots = (sine.t - start) * radius
-            return knots, 3, centre - radius * cosine.c, middle + radius * sine.c
-
-        halves = [arc(-angle, 0.0), arc(0.0, angle)]
-    return [
-        line(-half, half, outer, outer),
-        line(half, half + flank, outer, inner),
-        *halves,
-        line(pitch - half - flank, pitch - half, inner, outer),
-    ]
-
-
-def _sine_and_cosine(start: float, end: float, intervals: int) -> tuple[BSpline, BSpline]:
-    """Cubic splines through sine and cosine, end slopes exact."""
-    angle = np.linspace(start, end, intervals + 1)
-
-    def spline(values: np.ndarray, slope_start: float, slope_end: float) -> BSpline:
-        ends = ([(1, slope_start)], [(1, slope_end)])
-        return make_interp_spline(angle, values, k=3, bc_type=ends)
-
-    sine = spline(np.sin(angle), math.cos(start), math.cos(end))
-    cosine = spline(np.cos(angle), -math.sin(start), -math.sin(end))
-    return sine, cosine
-
-
-def _multiplicities(knots: np.ndarray) -> tuple[list[float], list[int]]:
-    values, counts = np.unique(np.round(knots, 12), return_counts=True)
-    return values.tolist(), counts.tolist()
-
-
 def _helical_body(screw: ScrewParameters) -> tuple[int, int]:
     """The threaded body from below z = 0 to above z = length, as one volume."""
     occ = gmsh.model.occ
     pitch, length = screw.pitch * MM, screw.length * MM
     crest, outer = screw.crest_width / 2 * MM, screw.diameter / 2 * MM
-    seam = _seam_angle(screw)
-    sine, cosine = _sine_and_cosine(seam, seam + 2 * math.pi, _TURN_INTERVALS)
-    angle_knots = cosine.t - seam
-    angles = np.array([angle_knots[k + 1 : k + 4].mean() for k in range(len(cosine.c))])
+    seam = seam_angle(screw)
     rise = pitch / (2 * math.pi)
-
-    def helicoid(knots: np.ndarray, degree: int, radii: np.ndarray, heights: np.ndarray):
-        along = angle_knots * math.hypot(float(np.mean(radii)), rise)
-        poles = [
-            occ.addPoint(radius * c, radius * s, height + rise * angle)
-            for c, s, angle in zip(cosine.c, sine.c, angles, strict=True)
-            for radius, height in zip(radii, heights, strict=True)
-        ]
-        knots_u, times_u = _multiplicities(knots)
-        knots_v, times_v = _multiplicities(along)
-        surface = occ.addBSplineSurface(
-            poles, len(radii), degreeU=degree, degreeV=3,
-            knotsU=knots_u, multiplicitiesU=times_u, knotsV=knots_v, multiplicitiesV=times_v,
-        )  # fmt: skip
-        return (2, surface)
-
+    turn = helix_turn(seam)
     # the crest's middle is at crest_height for angle 0, so at the seam it is higher by its rise
     at_seam = screw.crest_height * MM + rise * seam
     bottom = at_seam - math.ceil((at_seam + 2.2 * pitch) / pitch) * pitch
     turns = math.ceil((length + 1.2 * pitch - bottom) / pitch)
-    profile = _profile(screw)
-    turn = [
-        helicoid(knots, degree, radii, bottom + heights) for knots, degree, radii, heights in profile
-    ]
-    faces = list(turn)
+    pieces = profile_pieces(screw)
+    first = [_helicoid(turn, piece, bottom, rise) for piece in pieces]
+    faces = list(first)
     for k in range(1, turns):
-        copied = occ.copy(turn)
+        copied = occ.copy(first)
         occ.translate(copied, 0, 0, k * pitch)
         faces += copied
+    radial = line_piece(0.0, 0.0, 0.0, outer)
     for level in (bottom, bottom + turns * pitch):
-        ends = np.array([0.0, 0.0, outer, outer])
-        low = np.full(2, level - crest)
-        faces.append(helicoid(ends, 1, np.array([0.0, outer]), low))
-        faces.append(_meridian_face(profile, seam, level, crest, pitch, outer))
+        faces.append(_helicoid(turn, radial, level - crest, rise))
+        faces.append(_meridian_face(pieces, seam, level, crest, pitch, outer))
     loop = occ.addSurfaceLoop([tag for _, tag in faces], sewing=True)
     return (3, occ.addVolume([loop]))
 
 
+def _helicoid(turn: HelixTurn, piece: ProfilePiece, height: float, rise: float) -> tuple[int, int]:
+    """The B-spline surface that a piece of the profile sweeps in one turn."""
+    occ = gmsh.model.occ
+    poles = [
+        occ.addPoint(r * c, r * s, height + h + rise * angle)
+        for c, s, angle in zip(turn.cosine, turn.sine, turn.angles, strict=True)
+        for r, h in zip(piece.radii, piece.heights, strict=True)
+    ]
+    across, times_across = multiplicities(piece.knots)
+    along, times_along = multiplicities(turn.knots * math.hypot(float(piece.radii.mean()), rise))
+    surface = occ.addBSplineSurface(
+        poles,
+        len(piece.radii),
+        degreeU=piece.degree,
+        degreeV=3,
+        knotsU=across,
+        multiplicitiesU=times_across,
+        knotsV=along,
+        multiplicitiesV=times_along,
+    )
+    return (2, surface)
+
+
 def _meridian_face(
-    profile: list, angle: float, level: float, crest: float, pitch: float, outer: float
+    pieces: list[ProfilePiece], angle: float, level: float, crest: float, pitch: float, outer: float
 ) -> tuple[int, int]:
     """The plane face between the axis and one pitch of the profile, at an angle."""
     occ = gmsh.model.occ
@@ -388,13 +459,9 @@ def _meridian_face(
         return occ.addPoint(radius * c, radius * s, height)
 
     curves = []
-    for knots, degree, radii, heights in profile:
-        poles = [point(r, level + h) for r, h in zip(radii, heights, strict=True)]
-        if degree == 1:
-            curves.append(occ.addLine(*poles))
-        else:
-            values, times = _multiplicities(knots)
-            curves.append(occ.addBSpline(poles, degree=degree, knots=values, multiplicities=times))
+    for piece in pieces:
+        poles = [point(r, level + h) for r, h in zip(piece.radii, piece.heights, strict=True)]
+        curves.append(_profile_curve(piece, poles))
     low, high = level - crest, level - crest + pitch
     axis = point(0.0, low), point(0.0, high)
     rim = point(outer, low), point(outer, high)
@@ -403,21 +470,12 @@ def _meridian_face(
     return (2, occ.addPlaneSurface([occ.addWire(curves)]))
 
 
-def _seam_angle(screw: ScrewParameters) -> float:
-    """The angle where turns meet, as far as can be from the corners that the ends cut.
-
-    Where seam, end plane and an edge of the profile nearly meet, gmsh would find a tiny edge.
-    """
-    candidates = (np.arange(360) + 0.5) * 2 * math.pi / 360
-    clearance = np.full(candidates.shape, np.inf)
-    for height in (0.0, screw.length, screw.length - screw.slot_depth):
-        axial = height - screw.crest_height - screw.pitch * candidates / (2 * math.pi)
-        clearance = np.minimum(clearance, screw.edge_distance(axial))
-    # and away from the walls of the slot
-    radius = screw.root_diameter / 2
-    wall = np.abs(np.abs(np.sin(candidates)) * radius - screw.slot_width / 2)
-    clearance[wall < screw.slot_width / 4] = 0.0
-    return float(candidates[int(np.argmax(clearance))])
+def _profile_curve(piece: ProfilePiece, poles: list[int]) -> int:
+    occ = gmsh.model.occ
+    if piece.degree == 1:
+        return occ.addLine(*poles)
+    knots, times = multiplicities(piece.knots)
+    return occ.addBSpline(poles, degree=piece.degree, knots=knots, multiplicities=times)
 
 
 def _grooved_body(screw: ScrewParameters) -> tuple[int, int]:
@@ -431,19 +489,10 @@ def _grooved_body(screw: ScrewParameters) -> tuple[int, int]:
     first = last = occ.addPoint(outer, 0, bottom - crest)
     curves = []
     for k in range(count):
-        for knots, degree, radii, heights in _profile(screw):
-            poles = [last]
-            poles += [
-                occ.addPoint(r, 0, bottom + k * pitch + h)
-                for r, h in zip(radii[1:], heights[1:], strict=True)
-            ]
-            if degree == 1:
-                curves.append(occ.addLine(*poles))
-            else:
-                values, times = _multiplicities(knots)
-                curves.append(
-                    occ.addBSpline(poles, degree=degree, knots=values, multiplicities=times)
-                )
+        for piece in profile_pieces(screw):
+            rest = zip(piece.radii[1:], piece.heights[1:], strict=True)
+            poles = [last, *(occ.addPoint(r, 0, bottom + k * pitch + h) for r, h in rest)]
+            curves.append(_profile_curve(piece, poles))
             last = poles[-1]
     axis = [occ.addPoint(0, 0, z) for z in (bottom - crest, bottom - crest + count * pitch)]
     curves += [occ.addLine(last, axis[1]), occ.addLine(axis[1], axis[0])]

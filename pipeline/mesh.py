@@ -136,9 +136,7 @@ def read_mesh(folder: str | Path) -> TetrahedralMesh:
     with h5py.File(path, "r") as store:
         version = int(store.attrs.get("schema_version", -1))
         if version != SCHEMA_VERSION:
-            raise ValueError(
-                f"schema_version of {path} is {version}: allowed is {SCHEMA_VERSION}."
-            )
+            raise ValueError(f"schema_version of {path} is {version}: allowed is {SCHEMA_VERSION}.")
         return TetrahedralMesh(
             store["points"][:], store["cells"][:], json.loads(store.attrs["quality"])
         )

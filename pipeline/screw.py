@@ -50,9 +50,7 @@ class ScrewParameters:
         _range("pitch", self.pitch, self.diameter / 20, self.diameter / 2)
         angle = math.degrees(self.thread_angle)
         if not 20.0 <= angle <= 120.0:
-            raise ValueError(
-                f"thread_angle is {angle:.6g} degrees: allowed are 20 to 120 degrees."
-            )
+            raise ValueError(f"thread_angle is {angle:.6g} degrees: allowed are 20 to 120 degrees.")
         if self.minor_diameter is None:
             object.__setattr__(
                 self, "minor_diameter", _micrometre(self.diameter - 1.0825318 * self.pitch)
