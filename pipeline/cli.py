@@ -88,6 +88,8 @@ def _add_machine_options(parser: argparse.ArgumentParser) -> None:
 def main(arguments: list[str] | None = None) -> int:
     """Run `perilife` with the given arguments and return its exit code."""
     signal.signal(signal.SIGTERM, _interrupt)
+    # Threads that wait must not spin: on a busy machine that costs hundreds of times the work.
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     options = argparse.Namespace(out=None)
     try:
         options = build_parser().parse_args(arguments)

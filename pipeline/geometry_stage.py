@@ -2,6 +2,10 @@
 
 import logging
 import os
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import h5py
@@ -20,13 +24,27 @@ SCHEMA_VERSION = 1
 _NUMBERS = ("volume", "area", "reference_volume", "reference_area", "smallest_feature")
 
 
+@contextmanager
+def _signals_kept() -> Iterator[None]:
+    """Give Ctrl-C and SIGTERM back to Python: gmsh takes them and leaves the system's default."""
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        if threading.current_thread() is threading.main_thread():
+            for number, handler in handlers.items():
+                if handler is not None:
+                    signal.signal(number, handler)
+
+
 def build_solid(scene: Scene) -> Solid:
     """The solid of the scene; ValueError or FileNotFoundError with one sentence."""
     from pipeline import geometry
 
-    if isinstance(scene.geometry, ScrewGeometry):
-        return geometry.screw_solid(scene.geometry.parameters)
-    return geometry.solid_from_file(scene.geometry.path, scene.geometry.unit)
+    with _signals_kept():
+        if isinstance(scene.geometry, ScrewGeometry):
+            return geometry.screw_solid(scene.geometry.parameters)
+        return geometry.solid_from_file(scene.geometry.path, scene.geometry.unit)
 
 
 def write_geometry(
@@ -36,7 +54,8 @@ def write_geometry(
     from pipeline import geometry
 
     solid = solid if solid is not None else build_solid(scene)
-    mesh = geometry.tetrahedral_mesh(solid, scene.mesh.size, scene.mesh.size_fine)
+    with _signals_kept():
+        mesh = geometry.tetrahedral_mesh(solid, scene.mesh.size, scene.mesh.size_fine)
     geometry.write_mesh(mesh, folder)
     write_surface(folder, solid)
     if solid.cad:

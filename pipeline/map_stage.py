@@ -9,7 +9,7 @@ import numpy as np
 from fem.quadrature import quadrature_points
 from peri.results import read_corrosion
 from pipeline.corrosion_stage import CORROSION_FILE
-from pipeline.damage_map import map_damage
+from pipeline.damage_map import compare_lost_volume, map_damage
 from pipeline.mesh import read_mesh
 from pipeline.scene import Scene
 from pipeline.units import ImmersionTime
@@ -23,9 +23,8 @@ def map_in_folder(
 ) -> tuple[list[Path], dict[str, object]]:
     """Map the field of one immersion time and write damage.h5; returns the files and numbers.
 
-    The numbers compare what is lost on lattice and mesh (MODEL.md 6), both as fractions of the
-    solid: `lost_on_lattice` is the volume mean of 1 - C/C_solid over the initial metal,
-    `lost_on_mesh` the same over the mesh before f0 is cut off at 1/q1.
+    The numbers hold the mean of f0 over the mesh and the volumes lost on lattice and mesh, the
+    latter before f0 is cut off at 1/q1 (MODEL.md 6).
     """
     mesh = read_mesh(geometry)
     fields = read_corrosion(corrosion / CORROSION_FILE)
@@ -36,28 +35,19 @@ def map_in_folder(
     lattice = (fields["lattice/origin"], fields["lattice/spacing"])
     concentration, metal = fields["concentration"][number], fields["metal"]
 
-    def damage(maximum: float) -> np.ndarray:
-        return map_damage(
-            points, *lattice, concentration, metal, solid, maximum_damage=maximum
-        )
-
-    corrosion_damage = damage(1.0 / material.q1)
-    uncut = damage(1.0)
-    volume = weights.sum()
-    capacity = np.where(metal, fields["capacity"], 0.0)
-    lost_on_lattice = float((capacity * (1.0 - concentration / solid)).sum() / capacity.sum())
-    lost_on_mesh = float((uncut * weights).sum() / volume)
+    maximum = 1.0 / material.q1
+    damage = map_damage(points, *lattice, concentration, metal, solid, maximum)
+    lost = compare_lost_volume(
+        points, weights, *lattice, concentration, metal, fields["capacity"], solid
+    )
+    volume = float(weights.sum())
     numbers = {
-        "mean_corrosion_damage": float((corrosion_damage * weights).sum() / volume),
-        "maximum_corrosion_damage": float(corrosion_damage.max()),
-        "share_at_maximum": float(
-            weights[corrosion_damage >= 1.0 / material.q1 - 1e-12].sum() / volume
-        ),
-        "lost_on_lattice": lost_on_lattice,
-        "lost_on_mesh": lost_on_mesh,
-        "lost_difference": lost_on_mesh / lost_on_lattice - 1.0 if lost_on_lattice else 0.0,
+        "mean_corrosion_damage": float((damage * weights).sum() / volume),
+        "maximum_corrosion_damage": float(damage.max()),
+        "volume_share_at_maximum": float(weights[damage >= maximum - 1e-12].sum() / volume),
+        **lost,
     }
-    write_damage(out / DAMAGE_FILE, corrosion_damage, moment, scene.tensile.element)
+    write_damage(out / DAMAGE_FILE, damage, moment, scene.tensile.element)
     return [out / DAMAGE_FILE], numbers
 
 

@@ -9,7 +9,7 @@ from pipeline.scene import (
     BOUNDARIES,
     CALIBRATIONS,
     DOMAIN_SHAPES,
-    GRIPS,
+    LATERAL,
     SATURATIONS,
     TIME_SCHEMES,
     DomainSettings,
@@ -66,7 +66,16 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
     tensile.add_argument("--mesh-size", metavar="LENGTH", help="edge length in the bulk")
     tensile.add_argument("--mesh-size-fine", metavar="LENGTH", help="at thread and slot")
     tensile.add_argument("--element", metavar="E")
-    tensile.add_argument("--grips", metavar="G", help=", ".join(GRIPS))
+    tensile.add_argument("--bottom-grip", metavar="LENGTH", help="held at the bottom (end face)")
+    tensile.add_argument("--top-grip", metavar="LENGTH", help="held at the top (end face)")
+    tensile.add_argument("--lateral", metavar="L", help=f"grips leave it {' or '.join(LATERAL)}")
+    tensile.add_argument(
+        "--to-peak",
+        dest="whole_curve",
+        action="store_const",
+        const=False,
+        help="end each test past its peak force",
+    )
     tensile.add_argument("--final-strain", type=float, metavar="X", help="nominal (0.1)")
     tensile.add_argument("--increment", type=float, metavar="X", help="largest strain increment")
 
@@ -91,6 +100,16 @@ def scene_from_options(options: argparse.Namespace) -> Scene:
     )
     if options.step is not None:
         corrosion["step"] = parse_time(options.step, "step").seconds
+    tensile = given(
+        element="element",
+        lateral="lateral",
+        final_strain="final_strain",
+        increment="increment",
+        whole_curve="whole_curve",
+    )
+    for name in ("bottom_grip", "top_grip"):
+        if getattr(options, name) is not None:
+            tensile[name] = length(name)
     return resolve_scene(
         options.alloy,
         options.immersion,
@@ -103,9 +122,7 @@ def scene_from_options(options: argparse.Namespace) -> Scene:
         mesh_size_fine=length("mesh_size_fine"),
         domain=_domain(options),
         corrosion=corrosion,
-        tensile=given(
-            element="element", grips="grips", final_strain="final_strain", increment="increment"
-        ),
+        tensile=tensile,
         measured_volume_loss=_measured(options),
     )
 

@@ -23,7 +23,7 @@ DOMAIN_SHAPES = ("cylinder", "ball")
 BOUNDARIES = ("refreshed", "no_flux")
 SATURATIONS = ("complementarity", "as_published", "none")
 CALIBRATIONS = ("discrete", "closed")
-GRIPS = ("end_faces", "clamped", "beyond_slot")
+LATERAL = ("free", "clamped")
 
 
 class SceneError(ValueError):
@@ -186,7 +186,7 @@ class MaterialParameters:
         finite = math.isfinite(capacity) and capacity >= 0
         _check(finite, "hardening capacity", capacity, "a finite number, at least 0")
         _positive("hardening rate", self.hardening_rate)
-        _positive("q1", self.q1)
+        _check(1 < self.q1 < 10, "q1", self.q1, "above 1 and below 10")
 
 
 @dataclass(frozen=True)
@@ -227,17 +227,29 @@ class MeshSettings:
 
 @dataclass(frozen=True)
 class TensileScene:
-    """The tensile test: element, nominal strain at the end, largest increment, grips."""
+    """The tensile test: element, nominal strain at the end, largest increment, grips.
 
-    element: str = "P1"
+    bottom_grip, top_grip: held lengths at the ends (m), 0 holds the end faces only; lateral:
+    whether grips leave lateral motion free; whole_curve: go on to the final strain when the
+    force has fallen past its peak.
+    """
+
+    element: str = "P2"
     final_strain: float = 0.10
     increment: float = 0.005
-    grips: str = "end_faces"
+    bottom_grip: float = 0.0
+    top_grip: float = 0.0
+    lateral: str = "free"
     whole_curve: bool = True
 
     def __post_init__(self) -> None:
         _one_of("element", self.element, tuple(ELEMENTS))
-        _one_of("grips", self.grips, GRIPS)
+        _one_of("lateral", self.lateral, LATERAL)
+        for name in ("bottom_grip", "top_grip"):
+            value = getattr(self, name)
+            _check(
+                math.isfinite(value) and value >= 0, name.replace("_", " "), value, "at least 0"
+            )
         _check(0 < self.final_strain <= 1, "final strain", self.final_strain, "in (0, 1]")
         _check(
             0 < self.increment <= self.final_strain,

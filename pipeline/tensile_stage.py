@@ -15,8 +15,10 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import h5py
+import numpy as np
 
+from pipeline.map_stage import DAMAGE_FILE, read_damage
+from pipeline.mesh import read_mesh
 from pipeline.run_folder import write_json, write_text
 from pipeline.scene import MaterialParameters, TensileScene
 
@@ -25,6 +27,7 @@ RESULT_FILE = "tensile.json"
 CURVE_FILE = "tensile.csv"
 LOG_FILE = "tensile.log"
 PROGRESS_FILE = ".tensile.progress"
+PARENT_VARIABLE = "PERILIFE_PARENT"
 POLL_SECONDS = 0.1
 
 
@@ -61,9 +64,109 @@ def run_job(job: TensileJob, comm: object = None) -> None:
     """Do one tensile test in this process and write its results on rank 0.
 
     comm: an mpi4py communicator, MPI.COMM_WORLD when None.
-    Writes tensile.csv (elongation, force), tensile.json and the ParaView series to `job.out`.
+    Writes tensile.csv, tensile.json and the ParaView file to `job.out`.
     """
-    raise NotImplementedError("the tensile test is not connected yet")
+    from mpi4py import MPI
+
+    from fem.constitutive.hardening import VoceHardening
+    from fem.constitutive.material import Material
+    from fem.solid import Grips
+    from fem.tensile_test import TensileSettings, tensile_test
+
+    comm = MPI.COMM_WORLD if comm is None else comm
+    root = comm.rank == 0
+    mesh = read_mesh(Path(job.geometry)) if root else None
+    damage = read_damage(Path(job.damage) / DAMAGE_FILE) if root else None
+    values, test = job.material, job.tensile
+    out = Path(job.out)
+
+    def advanced(fraction: float, text: str) -> None:
+        if _orphaned():
+            comm.Abort(1)
+        write_text(out / PROGRESS_FILE, f"{fraction:.4f}")
+
+    result = tensile_test(
+        mesh.points if root else None,
+        mesh.cells if root else None,
+        damage,
+        Material(
+            young=values.young_modulus,
+            poisson=values.poisson_ratio,
+            hardening=VoceHardening(
+                values.initial_yield_stress, values.hardening_capacity, values.hardening_rate
+            ),
+            q1=values.q1,
+        ),
+        TensileSettings(
+            element=test.element,
+            maximum_strain=test.final_strain,
+            first_increment=min(0.002, test.increment),
+            maximum_increment=test.increment,
+            full_curve=test.whole_curve,
+            grips=Grips(test.bottom_grip, test.top_grip, test.lateral),
+            threads=int(os.environ.get("NUMBA_NUM_THREADS", "0")) or None,
+        ),
+        comm,
+        advanced if root else None,
+    )
+    if root:
+        _write_result(out, result)
+        _write_picture(out, mesh, damage, result)
+
+
+def _orphaned() -> bool:
+    """Whether the process that started this job is gone."""
+    parent = os.environ.get(PARENT_VARIABLE)
+    return parent is not None and not Path("/proc", parent).exists() and Path("/proc/1").exists()
+
+
+def _write_result(out: Path, result: object) -> None:
+    """tensile.csv: one row per point of the curve; tensile.json: what follows from it."""
+    history = result.history or {"elongation": result.elongation, "force": result.force}
+    strain = history["elongation"] / result.length
+    columns = {"elongation": strain, "displacement_m": history["elongation"]}
+    units = {"force": "force_N", "work": "work_J", "stored": "stored_J"}
+    units |= {"dissipated": "dissipated_J", "seconds": "seconds_s"}
+    columns |= {units.get(k, k): v for k, v in history.items() if k != "elongation"}
+    lines = [",".join(columns)]
+    for row in zip(*columns.values(), strict=True):
+        lines.append(",".join(f"{value:.10g}" for value in row))
+    write_text(out / CURVE_FILE, "\n".join(lines) + "\n")
+    counts = ("cells", "dead_cells", "loose_cells", "loose_pieces", "lost_cells")
+    write_json(
+        out / RESULT_FILE,
+        {
+            "peak_force": float(result.peak_force),
+            "elongation_at_peak": float(result.elongation_at_peak / result.length),
+            "status": result.status,
+            "length": float(result.length),
+            "increments": len(strain) - 1,
+            **{name: int(getattr(result, name)) for name in counts},
+            "cost": {name: float(value) for name, value in result.cost.items()},
+        },
+    )
+
+
+def _write_picture(out: Path, mesh: object, damage: np.ndarray, result: object) -> None:
+    """tensile.vtu: displacement at the end (m) and mean damage per cell, for ParaView."""
+    import meshio
+
+    displacement = result.displacement
+    if displacement is None:
+        displacement = np.zeros_like(mesh.points)
+    temporary = out / ".tensile.part.vtu"
+    meshio.Mesh(
+        mesh.points,
+        [("tetra", mesh.cells)],
+        point_data={"displacement": np.nan_to_num(displacement)},
+        cell_data={"corrosion_damage": [damage.reshape(len(mesh.cells), -1).mean(axis=1)]},
+    ).write(temporary)
+    os.replace(temporary, out / "tensile.vtu")
+
+
+def read_result(folder: Path) -> dict[str, object]:
+    """Content of the tensile.json that a finished test left in `folder`."""
+    return json.loads((folder / RESULT_FILE).read_text(encoding="utf-8"))
 
 
 @dataclass
@@ -133,7 +236,9 @@ def _environment(ranks: int, workers: int) -> dict[str, str]:
     """One thread per rank for BLAS; Numba gets what is left of the cores."""
     environment = dict(os.environ)
     cores = len(os.sched_getaffinity(0))
+    environment[PARENT_VARIABLE] = str(os.getpid())
     environment["OMP_NUM_THREADS"] = "1"
+    environment.setdefault("OMP_WAIT_POLICY", "passive")
     environment["NUMBA_NUM_THREADS"] = str(max(1, cores // (ranks * workers)))
     environment["OMPI_MCA_rmaps_base_oversubscribe"] = "1"
     environment["OMPI_MCA_hwloc_base_binding_policy"] = "none"
