@@ -109,9 +109,7 @@ def test_closed_second_moment_approaches_two():
     assert 1.5 < np.log2(errors[1] / errors[2]) < 2.5  # measured 2.14
 
 
-@pytest.mark.parametrize(
-    ("dimension", "limit"), [(1, 2.0), (2, 8 / np.pi), (3, 3.0)]
-)
+@pytest.mark.parametrize(("dimension", "limit"), [(1, 2.0), (2, 8 / np.pi), (3, 3.0)])
 def test_front_strength_under_refinement(dimension, limit):
     """S delta -> 2, 8/pi, 3 in 1D, 2D, 3D for q = 0, with first order in 1/m.
 

@@ -145,14 +145,17 @@ def test_compiled_sum_is_the_plain_python_sum(monkeypatch):
         monkeypatch.setattr(kernels, helper, getattr(kernels, helper).py_func)
     interpreted = np.zeros(bond_sum.padded_shape)
     plain(kernels.convolve)(
-        field, interpreted, bond_sum._tiles, bond_sum.low, bond_sum.high, bond_sum.reach,
+        field,
+        interpreted,
+        bond_sum._tiles,
+        bond_sum.low,
+        bond_sum.high,
+        bond_sum.reach,
         *bond_sum._shells,
     )
     assert np.abs(compiled).max() > 1
     # the compiler may fuse a*b+c: measured 1.4e-16 of the largest
-    np.testing.assert_allclose(
-        interpreted, compiled, rtol=0, atol=1e-14 * np.abs(compiled).max()
-    )
+    np.testing.assert_allclose(interpreted, compiled, rtol=0, atol=1e-14 * np.abs(compiled).max())
 
 
 def test_threaded_sum_is_the_serial_sum(monkeypatch):
