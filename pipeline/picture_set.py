@@ -1,4 +1,4 @@
-"""Which pictures a report shows: the corroded solid per alloy and time, whole and cut in half.
+"""Which pictures a report shows: the corroded solid per alloy and time, whole and cut open.
 
 The field is the lattice's, mapped onto a refinement of the mesh as the damage map does it
 (pipeline.damage_map), without its upper bound; without corrosion.h5 it is the damage map itself.
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.damage_map import map_damage
-from pipeline.pictures import PictureRequest, refine_tetrahedra, render_pictures
+from pipeline.pictures import Cut, PictureRequest, refine_tetrahedra, render_pictures
 from pipeline.run_folder import RunFolder
 from pipeline.run_results import AlloyResult, ImmersionResult, RunResults
 
@@ -25,8 +25,10 @@ ENOUGH_CELLS = 50_000
 """Cells from which on a mesh is not refined for pictures."""
 PICTURES_FOLDER = "pictures"
 
-PictureKey = tuple[str, str, bool]
-"""Alloy, label of the immersion time, whether cut in half."""
+VIEWS: tuple[Cut, ...] = ("whole", "half", "quarter")
+
+PictureKey = tuple[str, str, str]
+"""Alloy, label of the immersion time, how the solid is cut."""
 
 
 @dataclass(frozen=True)
@@ -63,8 +65,8 @@ def make_pictures(run: RunResults) -> PictureSet:
             damage = _damage(run, alloy.name, item, points, len(cells))
             if damage is None:
                 continue
-            for cut in (False, True):
-                path = folder / f"{alloy.name}_{item.label}_{'cut' if cut else 'whole'}.png"
+            for cut in VIEWS:
+                path = folder / f"{alloy.name}_{item.label}_{cut}.png"
                 requests.append(PictureRequest(damage, path, cut))
                 paths[alloy.name, item.label, cut] = path
     trouble = render_pictures(points, cells, requests, maximum_damage=1.0 / factor)

@@ -19,12 +19,14 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
+    import pyvista
+
     from pipeline.run_results import RunResults
 
 logger = logging.getLogger(__name__)
@@ -37,6 +39,7 @@ GONE = 0.97
 #: Colours of corrosion damage from none to the maximum: sound metal light grey, then yellow to
 #: brown with falling lightness, readable without colour vision.
 DAMAGE_COLOURS = ("#d5dae1", "#f0dca0", "#eeb04e", "#d97a1e", "#a8480c", "#6e2a08")
+Cut = Literal["whole", "half", "quarter"]
 SHELL_COLOUR = "#8593a6"
 
 
@@ -98,7 +101,7 @@ def screw_picture(
     cells: NDArray[np.int64],
     corrosion_damage: NDArray[np.float64],
     *,
-    cut: bool = False,
+    cut: Cut = "whole",
     size: tuple[int, int] = (300, 440),
     maximum_damage: float = MAXIMUM_DAMAGE,
     outline: bool = True,
@@ -116,7 +119,8 @@ def screw_picture(
     cells : (nc, 4) four-node tetrahedra.
     corrosion_damage : (n,) at the points, best not cut off at the maximum, so that the surface at
         the maximum is smooth; or (nc,) or (nc, nq) in the cells.
-    cut : take away the half that faces the viewer and show the inside.
+    cut : what is taken away to show the inside: nothing ("whole"), the half that faces the viewer
+        ("half") or the quarter that does ("quarter").
     size : width and height of the picture, pixels.
     azimuth, elevation : direction of view, degrees.
 
@@ -144,8 +148,7 @@ def screw_picture(
     left = intact
     if damage.max() >= maximum_damage:
         left = intact.clip_scalar(scalars="corrosion_damage", value=maximum_damage, invert=True)
-    if cut and left.n_cells:
-        left = left.clip(normal=facing, origin=(0.0, 0.0, 0.0), invert=True)
+    left = _cut(left, cut, turn)
 
     oversampling = 2
     plotter = pyvista.Plotter(
@@ -167,15 +170,14 @@ def screw_picture(
                 cmap=LinearSegmentedColormap.from_list("corrosion", DAMAGE_COLOURS),
                 smooth_shading=True,
                 show_scalar_bar=False,
-                ambient=0.28,
-                diffuse=0.78,
+                ambient=0.38,
+                diffuse=0.72,
                 specular=0.12,
                 specular_power=18,
             )
         if outline and damage.max() > 0.0:
             shell = intact.extract_surface(algorithm="dataset_surface")
-            if cut:
-                shell = shell.clip(normal=facing, origin=(0.0, 0.0, 0.0), invert=True)
+            shell = _cut(shell, cut, turn)
             plotter.add_mesh(
                 shell, color=SHELL_COLOUR, opacity=0.16, lighting=False, culling="front"
             )
@@ -190,6 +192,21 @@ def screw_picture(
         plotter.close()
     small = Image.fromarray(np.asarray(image)).resize(size, Image.Resampling.LANCZOS)
     return np.asarray(small)
+
+
+def _cut(mesh: pyvista.DataSet, cut: Cut, turn: float) -> pyvista.DataSet:
+    """What is left of a mesh around the origin when the part that faces the viewer is taken."""
+    if cut == "whole" or not mesh.n_cells:
+        return mesh
+
+    def keep(part: pyvista.DataSet, angle: float, behind: bool = True) -> pyvista.DataSet:
+        normal = (np.cos(turn + angle), np.sin(turn + angle), 0.0)
+        return part.clip(normal=normal, origin=(0.0, 0.0, 0.0), invert=behind)
+
+    if cut == "half":
+        return keep(mesh, 0.0)
+    left, right = np.radians(-15.0), np.radians(75.0)  # the left of the view keeps its outside
+    return keep(mesh, left).merge(keep(keep(mesh, left, behind=False), right))
 
 
 def _half_height(extent: NDArray[np.float64], rise: float, size: tuple[int, int]) -> float:
@@ -215,11 +232,11 @@ def _add_lights(plotter: object, pyvista: object, turn: float) -> None:
 
 @dataclass(frozen=True)
 class PictureRequest:
-    """One picture to render: which damage field, whole or cut, and the PNG to write."""
+    """One picture to render: which damage field, how it is cut, and the PNG to write."""
 
     damage: NDArray[np.float64]
     path: Path
-    cut: bool = False
+    cut: Cut = "whole"
 
 
 def render_pictures(
@@ -276,13 +293,12 @@ def render_pictures(
     return f"rendering stopped with exit code {child.returncode}: {reason[:200]}"
 
 
-def write_overview(
-    run: RunResults, pictures: dict[tuple[str, str, bool], Path], path: Path
-) -> None:
+def write_overview(run: RunResults, pictures: dict[tuple[str, str, str], Path], path: Path) -> None:
     """Combine pictures over time and alloys with the strength curve in one PNG, for print.
 
-    pictures: PNG files by alloy, label of the immersion time and whether cut, as rendered; the cut
-    ones are shown.  Pictures that are not there leave their place empty.
+    pictures: PNG files by alloy, label of the immersion time and cut, of which those with a quarter
+    cut out are shown.  A picture that is not there leaves its place empty; without a tensile test
+    there is no curve.
     """
     from matplotlib import image as images
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -295,8 +311,10 @@ def write_overview(
 
     labels = sorted({label for _, label, _ in pictures}, key=lambda text: parse_time(text).seconds)
     rows, columns = len(run.alloys), len(labels)
-    figure = Figure(figsize=(1.15 * columns + 4.6, 1.85 * rows + 0.75), dpi=150)
-    left, right = figure.subfigures(1, 2, width_ratios=[1.15 * columns, 4.6])
+    tested = any(i.strength_ratio is not None for a in run.alloys for i in a.immersions)
+    widths = [1.2 * columns + 0.4, 4.4 if tested else 0.01]
+    figure = Figure(figsize=(sum(widths), 1.85 * rows + 0.75), dpi=150)
+    left, right = figure.subfigures(1, 2, width_ratios=widths)
     grid = left.subplots(rows, columns, squeeze=False)
     left.subplots_adjust(left=0.07, right=1.0, bottom=0.17, top=0.92, wspace=0.02, hspace=0.04)
     for axes_row, alloy, colour in zip(grid, run.alloys, ALLOY_COLOURS, strict=False):
@@ -314,7 +332,7 @@ def write_overview(
         )
         for axes, label in zip(axes_row, labels, strict=True):
             axes.set_axis_off()
-            place = pictures.get((alloy.name, label, True))
+            place = pictures.get((alloy.name, label, "quarter"))
             if place is not None and place.is_file():
                 axes.imshow(images.imread(place), interpolation="lanczos")
     for axes, label in zip(grid[0], labels, strict=True):
@@ -327,15 +345,16 @@ def write_overview(
     bar = left.colorbar(colours, cax=scale, orientation="horizontal", ticks=[0, 1 / 3, 2 / 3])
     bar.ax.set_xticklabels(["0: sound", "0.33", "0.67: carries nothing"], fontsize=8)
     bar.outline.set_visible(False)
-    bar.ax.set_title("Corrosion damage, screws cut in half", fontsize=8.5, pad=3)
-    axes = right.subplots()
-    right.subplots_adjust(left=0.15, right=0.96, bottom=0.17, top=0.92)
-    draw_strength(axes, run.alloys, ALLOY_COLOURS)
-    axes.set_xlim(left=0)
-    axes.grid(color="#dddddd", lw=0.6)
-    axes.spines[["top", "right"]].set_visible(False)
-    if axes.get_legend_handles_labels()[0]:
-        axes.legend(frameon=False)
+    bar.ax.set_title("Corrosion damage; a quarter is cut out", fontsize=8.5, pad=3)
+    if tested:
+        axes = right.subplots()
+        right.subplots_adjust(left=0.15, right=0.96, bottom=0.17, top=0.92)
+        draw_strength(axes, run.alloys, ALLOY_COLOURS)
+        axes.set_xlim(left=0)
+        axes.grid(color="#dddddd", lw=0.6)
+        axes.spines[["top", "right"]].set_visible(False)
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend(frameon=False)
     part = path.with_name(path.name + ".part")
     FigureCanvasAgg(figure).print_png(part)
     os.replace(part, path)

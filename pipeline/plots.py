@@ -14,6 +14,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
+from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
 
 from perilife_data import VolumeLossData
 from pipeline.run_results import AlloyResult, column
@@ -63,7 +65,8 @@ def volume_loss_plot(
         time, loss = column(alloy.history, "time"), column(alloy.history, "volume_loss")
         known = [i for i in alloy.immersions if i.summary is not None]
         if time is not None and loss is not None:
-            axes.plot(time / second, 100 * loss, lw=1.8, label=alloy.name, **_line(style))
+            times, losses = _smooth(time, loss)
+            axes.plot(times / second, 100 * losses, lw=1.8, label=alloy.name, **_line(style))
         elif known:
             axes.plot([], [], lw=1.8, label=alloy.name, **style)
         if known:
@@ -158,6 +161,17 @@ def force_elongation_plot(alloy: AlloyResult, name: str, most_force: float) -> s
     axes.set_xlim(left=0)
     _finish(axes, zero=False, legend="best", columns=2 if len(tested) > 3 else 1)
     return _svg(figure, f"curves-{name}", f"Force against elongation of {alloy.name}")
+
+
+def _smooth(
+    time: NDArray[np.float64], values: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """A curve through all steps of a march that neither overshoots nor shows their corners."""
+    time, first = np.unique(time, return_index=True)
+    if len(time) < 3:
+        return time, values[first]
+    fine = np.unique(np.concatenate([time, np.linspace(time[0], time[-1], 200)]))
+    return fine, PchipInterpolator(time, values[first])(fine)
 
 
 def _time_ticks(axes: Axes, unit: str) -> None:

@@ -1,8 +1,9 @@
 """Sentences and numbers as a reader of the report wants them."""
 
 import math
+from collections.abc import Iterable
 
-from pipeline.run_results import AlloyResult
+from pipeline.run_results import AlloyResult, column
 
 STATUS_WORDS = {
     "completed": "pulled to the end",
@@ -24,7 +25,11 @@ def headline(alloy: AlloyResult) -> str:
                 f"{alloy.name} was tested only before immersion; the intact solid carries "
                 f"{force(most)}."
             )
-        return f"No tensile test of {alloy.name} is in this run."
+        loss = column(alloy.history, "volume_loss")
+        lost = ""
+        if loss is not None and alloy.immersions:
+            lost = f"; it lost {percent(loss[-1], 1)} of its volume in {_last_time(alloy)}"
+        return f"No tensile test of {alloy.name} is in this run{lost}."
     last = immersed[-1]
     halfway = [i for i in immersed[:-1] if i.strength_ratio > 0.0]
     parts = []
@@ -33,10 +38,10 @@ def headline(alloy: AlloyResult) -> str:
         kept = percent(middle.strength_ratio)
         parts.append(f"{kept} of its strength after {duration(middle.seconds)}")
     gone = [i for i in immersed if i.strength_ratio == 0.0]
+    share = "" if parts else " of its strength"
     if gone:
-        ending = f"none after {duration(gone[0].seconds)}, when it no longer holds together"
+        ending = f"none{share} after {duration(gone[0].seconds)}, when it no longer holds together"
     else:
-        share = "" if parts else " of its strength"
         ending = f"{percent(last.strength_ratio)}{share} after {duration(last.seconds)}"
     parts.append(ending)
     sentence = f"{alloy.name} keeps " + " and ".join(parts)
@@ -44,6 +49,11 @@ def headline(alloy: AlloyResult) -> str:
     if half is not None:
         sentence += f"; half of it is gone after about {duration(half, rough=True)}"
     return sentence + "."
+
+
+def _last_time(alloy: AlloyResult) -> str:
+    time = column(alloy.history, "time")
+    return duration(alloy.immersions[-1].seconds if time is None else float(time[-1]))
 
 
 def half_strength_time(alloy: AlloyResult) -> float | None:
@@ -84,3 +94,15 @@ def force(newton: float) -> str:
 def status_in_words(text: str) -> str:
     """How a tensile test ended, for a reader."""
     return STATUS_WORDS.get(text, text.replace("_", " "))
+
+
+def gathered(sentences: Iterable[str]) -> list[str]:
+    """Join sentences that differ only in the immersion time at their end into one.
+
+    "the test of A after 1w", "the test of A after 2w" become "the test of A after 1w, 2w".
+    """
+    joined: dict[str, list[str]] = {}
+    for sentence in sentences:
+        start, after, label = sentence.rpartition(" after ")
+        joined.setdefault(start + after, []).append(label)
+    return [start + ", ".join(labels) for start, labels in joined.items()]
