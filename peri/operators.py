@@ -11,6 +11,7 @@ from scipy import fft
 
 from peri import kernels
 from peri.influence import Stencil
+from peri.processes import ONE_PROCESS, OneProcess
 
 _TILE_ROWS = 16
 
@@ -29,6 +30,10 @@ class NonlocalSum:
         Nodes whose sum is needed; rows outside their range are skipped and left unchanged.
     method : {"direct", "fft"}
         "fft" is a real FFT pair on the padded box: its cost does not depend on the horizon.
+    processes : OneProcess or its like
+        Who holds the rest of the lattice when `shape` is a block of it.
+    window : tuple of slices, optional
+        The part of the block that `shape` covers (default: all of it).
     """
 
     def __init__(
@@ -37,14 +42,19 @@ class NonlocalSum:
         shape: tuple[int, ...],
         wanted: np.ndarray | None = None,
         method: str = "direct",
+        processes: OneProcess = ONE_PROCESS,
+        window: tuple[slice, ...] | None = None,
     ) -> None:
         if method not in ("direct", "fft"):
             raise ValueError(f"method: {method!r}; allowed: direct, fft")
+        if method == "fft" and processes is not ONE_PROCESS:
+            raise ValueError("method: 'fft' needs the whole lattice in one process; use 'direct'")
         if len(shape) != stencil.dimension:
             raise ValueError(f"shape: {shape} does not have the stencil's {stencil.dimension} axes")
         self.stencil = stencil
         self.lattice_shape = tuple(shape)
         self.method = method
+        self.processes, self.window = processes, window
         lead = (1,) * (3 - len(shape))
         self.shape = lead + self.lattice_shape
         self.octant = stencil.octant.reshape(lead + stencil.octant.shape)
@@ -76,6 +86,7 @@ class NonlocalSum:
         """The sum for a padded field; `out` must not be `u`."""
         if out is None:
             out = np.zeros(self.padded_shape)
+        u = self.processes.with_ghosts(u, self.window)
         if self.method == "fft":
             spectrum = fft.rfftn(u[self.interior], s=self._fft_shape, workers=-1)
             spectrum *= self._transform

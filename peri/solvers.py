@@ -213,7 +213,8 @@ class DiffusionSystem:
         self.inverse = np.where(full > 0, 1.0 / np.where(full > 0, full, 1.0), 0.0)
         spacing = (1.0,) * (3 - len(bond_sum.stencil.spacing)) + bond_sum.stencil.spacing
         horizon = np.multiply(spacing, bond_sum.reach)
-        self.multigrid = LocalMultigrid(
+        self.processes = bond_sum.processes
+        self.multigrid = (self.processes.multigrid or LocalMultigrid)(
             weight[bond_sum.interior],
             (sink * self.mask)[bond_sum.interior],
             [diffusivity / h**2 for h in spacing],
@@ -234,16 +235,17 @@ class DiffusionSystem:
         ).sum()
         if self.extra is not None:
             product += self.extra(u, y)
-        return product
+        return self.processes.total(product)
 
     def precondition(self, r: np.ndarray, z: np.ndarray) -> float:
         """z = B r; returns r . z."""
         self.multigrid.restrict(r, self.sum.reach)
         coarse = self.multigrid.cycle()
-        return kernels.add_diagonal_and_coarse(
+        product = kernels.add_diagonal_and_coarse(
             r, self.inverse, coarse, tuple(int(f) for f in self.multigrid.factors), self.mask, z,
             *self._rows,
         ).sum()
+        return self.processes.total(product)
 
     def solve(
         self, x: np.ndarray, r: np.ndarray, absolute: float, maximum_iterations: int = 200
@@ -255,7 +257,8 @@ class DiffusionSystem:
         """
         z, p, q, y = self._work
         p[:] = 0.0
-        norm = float(np.sqrt(kernels.inner_product(r, r).sum()))
+        total = self.processes.total
+        norm = float(np.sqrt(total(kernels.inner_product(r, r).sum())))
         rho_old, iterations = 1.0, 0
         while not norm <= absolute:
             if not np.isfinite(norm) or iterations == maximum_iterations:
@@ -268,9 +271,9 @@ class DiffusionSystem:
                 z, p, self.weight, q, rho / rho_old if iterations else 0.0, *self._rows
             )
             curvature = self.apply(p, y, q)
-            norm = float(np.sqrt(kernels.advance_solution(
+            norm = float(np.sqrt(total(kernels.advance_solution(
                 x, r, p, y, rho / curvature, *self._rows
-            ).sum()))
+            ).sum())))
             rho_old = rho
             iterations += 1
         return iterations

@@ -20,16 +20,13 @@ from peri import kernels
 from peri.corrosion import saturation
 from peri.corrosion.scene import CorrosionScene
 from peri.operators import NonlocalSum
+from peri.processes import ONE_PROCESS, OneProcess
 from peri.solvers import ConvergenceError, DiffusionSystem
 
 log = logging.getLogger(__name__)
 
 _MAXIMUM_ROUNDS = 60
 _LOSS_TOLERANCE = 1e-9
-
-
-def _norm(values: np.ndarray) -> float:
-    return float(np.sqrt(kernels.inner_product(values, values).sum()))
 
 
 class BoundsError(ArithmeticError):
@@ -56,21 +53,35 @@ class BiMaterial:
     scene : CorrosionScene
     solver_tolerance : float
         Residual norm relative to the sources at which a linear solution is accepted.
+    processes : OneProcess or its like
+        Who holds which block of the lattice; `scene` and all arrays are those of the block.
     """
 
-    def __init__(self, scene: CorrosionScene, solver_tolerance: float = 1e-9) -> None:
-        self.scene = scene
+    def __init__(
+        self,
+        scene: CorrosionScene,
+        solver_tolerance: float = 1e-9,
+        processes: OneProcess = ONE_PROCESS,
+    ) -> None:
+        self.processes = processes
+        self.scene = scene = processes.local_scene(scene)
         self.tolerance = solver_tolerance
         lattice, stencil = scene.lattice, scene.stencil
-        self.sum = NonlocalSum(stencil, lattice.shape, wanted=scene.domain)
+        self.sum = NonlocalSum(
+            stencil, lattice.shape, wanted=scene.domain, processes=processes
+        )
         fixed = scene.refreshed()
         self.fixed = self.sum.pad(fixed) > 0
+        self._open = processes.any(fixed.any())
         self.domain = self.sum.pad(scene.domain) > 0
         self.capacity = self.sum.pad(scene.capacity())
         self.metal = self.sum.pad(scene.metal) > 0
         self.initial_metal = self.metal.copy()
         self.initial_concentration = np.where(self.metal, scene.solid_concentration, 0.0)
-        self._loss_scale = float(self.capacity[self.metal].sum()) * (
+        metal_volume = processes.total(float(self.capacity[self.metal].sum()))
+        self.metal_scale = metal_volume * scene.solid_concentration
+        """sum over the initial metal of c C_solid (in cells)."""
+        self._loss_scale = metal_volume * (
             scene.solid_concentration - scene.saturation_concentration
         )
         self.base_diffusivity = scene.base_interface_diffusivity()
@@ -83,20 +94,27 @@ class BiMaterial:
     def _make_box(self) -> None:
         """The part of the lattice within reach of the initial metal, with its own arrays."""
         interior = self.metal[self.sum.interior]
+        largest = self.processes.largest
         window = []
-        for a, reach in enumerate(self.sum.reach):
+        for a, (reach, start) in enumerate(zip(self.sum.reach, self.processes.start, strict=True)):
             present = np.flatnonzero(interior.any(axis=tuple(b for b in range(3) if b != a)))
-            if present.size == 0:
+            first = -largest(-(present[0] + start) if present.size else -np.inf)
+            last = largest(present[-1] + start if present.size else -np.inf)
+            if first > last:
                 self.box = None
                 return
-            first = max(0, present[0] - reach)
-            window.append(slice(first, min(interior.shape[a], present[-1] + reach + 1)))
+            # A block that lies off the metal takes part with one layer of nodes.
+            n = interior.shape[a]
+            low = min(max(0, int(first) - reach - start), n - 1)
+            window.append(slice(low, max(low + 1, min(n, int(last) + reach + 1 - start))))
         padded = [
             slice(w.start + r, w.stop + r) for w, r in zip(window, self.sum.reach, strict=True)
         ]
         self._window = tuple(padded)
         shape = tuple(w.stop - w.start for w in window)[3 - self.sum.stencil.dimension :]
-        self.box = NonlocalSum(self.sum.stencil, shape)
+        self.box = NonlocalSum(
+            self.sum.stencil, shape, processes=self.processes, window=tuple(window)
+        )
 
     def _take(self, values: np.ndarray) -> np.ndarray:
         out = np.zeros(self.box.padded_shape)
@@ -119,7 +137,7 @@ class BiMaterial:
     def dissolve(self, concentration: np.ndarray) -> int:
         """Turn metal nodes below C_sat into liquid; returns how many."""
         gone = self.metal & (concentration < self.scene.saturation_concentration)
-        count = int(gone.sum())
+        count = int(self.processes.total(int(gone.sum())))
         if count:
             self.metal &= ~gone
             self.update_phase()
@@ -132,19 +150,15 @@ class BiMaterial:
         if self._loss_scale == 0:
             return 0.0
         values = concentration[self.metal] - self.scene.saturation_concentration
-        left = float((values * self.capacity[self.metal]).sum())
+        left = self.processes.total(float((values * self.capacity[self.metal]).sum()))
         return min(1.0, max(0.0, 1.0 - left / self._loss_scale))
 
     def amounts(self, concentration: np.ndarray) -> tuple[float, float]:
         """Amount in the metal and in the free liquid, mol (per m or m^2 in 2D, 1D)."""
         volume = self.scene.lattice.cell_volume
         contents = self.capacity * concentration
-        return volume * float(contents[self.metal].sum()), volume * float(contents[self.free].sum())
-
-    @property
-    def metal_scale(self) -> float:
-        """sum over the initial metal of c C_solid (in cells)."""
-        return float(self.capacity[self.initial_metal].sum()) * self.scene.solid_concentration
+        metal, liquid = (float(contents[nodes].sum()) for nodes in (self.metal, self.free))
+        return volume * self.processes.total(metal), volume * self.processes.total(liquid)
 
     def fastest_rate(self) -> float:
         """Largest row sum of the operator at zero volume loss, 1/s (bound of its spectrum / 2)."""
@@ -156,7 +170,7 @@ class BiMaterial:
             both = to_metal * g + self._take(np.where(self.free, liquid, 0.0))
             from_metal = np.where(self.box_metal, g * self.box(self.box_liquid_volume), 0.0)
             rate = max(rate, float(both.max()), float(from_metal.max()))
-        return rate
+        return self.processes.largest(rate)
 
     def metal_rates(self) -> np.ndarray:
         """lambda_i = D_int sum_{liquid j} w_ij c_j at zero loss, 1/s, on the lattice.
@@ -213,9 +227,8 @@ class BiMaterial:
         total_iterations, settled = 0, False
         for rounds in range(1, _MAXIMUM_ROUNDS + 1):
             volume_loss = self._settle_rate(state, theta, volume_loss, self._take(y))
-            if active.any():
-                view = y[self._window]
-                view[active[self.box.interior]] = saturated
+            view = y[self._window]
+            view[active[self.box.interior]] = saturated
             total_iterations += self._solve_liquid(y, old, tau, state, active)
             metal = state.metal_concentration(self._take(y))
             loss = self._loss_of(metal)
@@ -227,11 +240,14 @@ class BiMaterial:
                     active, self._take(y), needed, available, saturated
                 )
                 new_theta = np.where(self.box_liquid_volume > 0, new_theta, 0.0)
-                mismatch = tau * float((np.abs(new_theta - theta) * available)[active].sum())
-                unchanged = np.array_equal(new_active, active)
-                settled &= unchanged and mismatch <= 1e-9 * self.metal_scale * max(1e-3, loss)
+                mismatch = tau * self.processes.total(
+                    float((np.abs(new_theta - theta) * available)[active].sum())
+                )
+                changed = self.processes.any(not np.array_equal(new_active, active))
+                settled &= not changed and mismatch <= 1e-9 * self.metal_scale * max(1e-3, loss)
                 if settled:
-                    if np.any(needed[active] < -1e-9 * available[active]):
+                    below = np.any(needed[active] < -1e-9 * available[active])
+                    if self.processes.any(below):
                         raise BoundsError("saturation: the stage would need a negative inflow")
                     break
                 active, theta = new_active, new_theta
@@ -243,7 +259,7 @@ class BiMaterial:
                 f"step of {tau:.3g} s"
             )
         # What an active node takes in is what the metal loses, to round-off.
-        if complementary and active.any():
+        if complementary and self.processes.any(active.any()):
             metal = state.correct(metal, np.where(active, new_theta - theta, 0.0), saturated)
             volume_loss, theta = self._loss_of(metal), new_theta
         result = np.where(self.free, y, 0.0)
@@ -264,7 +280,9 @@ class BiMaterial:
 
     def _loss_of(self, box_metal_concentration: np.ndarray) -> float:
         values = box_metal_concentration[self.box_metal] - self.scene.saturation_concentration
-        left = float((values * self.box_metal_volume[self.box_metal]).sum())
+        left = self.processes.total(
+            float((values * self.box_metal_volume[self.box_metal]).sum())
+        )
         return min(1.0, max(0.0, 1.0 - left / self._loss_scale))
 
     def _liquid_only_stage(self, old, tau, guess) -> Stage:
@@ -283,18 +301,21 @@ class BiMaterial:
         gain = np.zeros(self.sum.padded_shape)
         self.sum(self.liquid_volume * y, gain)
         r = weight * ((old - y) / tau + d * (gain - self.neighbour_liquid * y))
-        scale = _norm(weight * old) / tau
+        scale = self._norm(weight * old) / tau
         if state is not None:
             source = state.liquid_gain(self._take(y))
-            scale += _norm(source)
+            scale += self._norm(source)
             source *= self._take(weight > 0)
             r[self._window] += source[self.box.interior]
         return system.solve(y, r, self.tolerance * scale)
 
+    def _norm(self, values: np.ndarray) -> float:
+        return float(np.sqrt(self.processes.total(kernels.inner_product(values, values).sum())))
+
     def _linear_system(self, weight, tau, state, held) -> DiffusionSystem:
         d = self.scene.liquid_diffusivity
         key = (tau, None if held is None else hash(held.tobytes()))
-        if self._system is None or self._system_key != key:
+        if self.processes.any(self._system is None or self._system_key != key):
             diagonal = 1.0 / tau + d * self.neighbour_liquid
             sink = weight * (diagonal - d * self.sum(weight))
             extra_diagonal = None
@@ -335,7 +356,7 @@ class BiMaterial:
 
     def _release_rate(self, y, state, metal) -> float:
         """Amount that reaches the refreshed nodes per second, mol/s."""
-        if not self.fixed.any():
+        if not self._open:
             return 0.0
         gain = self.sum(self.liquid_volume * y)
         rate = self.scene.liquid_diffusivity * float((gain * self.capacity)[self.fixed].sum())
@@ -343,7 +364,7 @@ class BiMaterial:
             seen = self.box(self.box_metal_volume * metal * state.on) * state.rate
             fixed = self._take(np.where(self.fixed, self.capacity, 0.0))
             rate += float((seen * fixed).sum())
-        return rate * self.scene.lattice.cell_volume
+        return self.processes.total(rate) * self.scene.lattice.cell_volume
 
 
 class _Interface:
@@ -371,7 +392,8 @@ class _Interface:
         self.response = self.on / (1.0 / self.tau + self.outflow)
         metal = p.box_metal
         stored = (1.0 / self.tau) / (1.0 / self.tau + self.outflow[metal])
-        self.storage_share = float(stored.mean()) if stored.size else 1.0
+        count = p.processes.total(stored.size)
+        self.storage_share = p.processes.total(float(stored.sum())) / count if count else 1.0
 
     def metal_concentration(self, liquid: np.ndarray) -> np.ndarray:
         """C_i = (old_i / tau + D sum theta w c C_j) / (1 / tau + D sum theta w c)."""
