@@ -50,8 +50,6 @@ class LocalMultigrid:
     """
 
     def __init__(self, capacity, sink, conductance, spacing, coarsest_start=0.0) -> None:
-        spacing = np.array(spacing, float)
-        start = np.broadcast_to(np.asarray(coarsest_start, float), (3,))
         t = []
         for a in range(3):
             face = np.zeros_like(capacity)
@@ -60,22 +58,14 @@ class LocalMultigrid:
             face[tuple(here)] = conductance[a] * capacity[tuple(here)] * capacity[tuple(after)]
             t.append(face)
         self.factors = np.ones(3, np.int64)
-        while True:
-            grow = (2 * spacing <= start) & (np.array(sink.shape) > 2)
-            if not grow.any():
-                break
+        before, between = coarsening_plan(sink.shape, spacing, coarsest_start)
+        for grow in before:
             sink, t = _coarsen(sink, t, grow)
-            spacing = np.where(grow, 2 * spacing, spacing)
             self.factors *= np.where(grow, 2, 1)
         self.levels = [_Level(sink, t)]
         self.steps = []
-        while sink.size > _COARSEST_CELLS:
-            grow = np.array([n > 2 for n in sink.shape])
-            if not grow.any():
-                break
-            grow &= spacing < 1.5 * spacing[grow].min()
+        for grow in between:
             sink, t = _coarsen(sink, t, grow)
-            spacing = np.where(grow, 2 * spacing, spacing)
             self.steps.append(tuple(int(v) for v in np.where(grow, 2, 1)))
             self.levels.append(_Level(sink, t))
         self.levels[-1].factorise()
@@ -100,6 +90,24 @@ class LocalMultigrid:
             kernels.prolong_add(self.cycle(index + 1), self.steps[index], level.x)
             level.smooth(from_zero=False)
         return level.x
+
+
+def coarsening_plan(shape, spacing, coarsest_start):
+    """Which axes to aggregate by two, step by step: before the first level, between the levels.
+
+    Each step is a bool array (3,).  Between the levels only axes with (nearly) the smallest
+    spacing take part, so that couplings become equal.
+    """
+    shape, spacing = np.array(shape), np.array(spacing, float)
+    before, between = [], []
+    while (grow := (2 * spacing <= coarsest_start) & (shape > 2)).any():
+        before.append(grow)
+        shape, spacing = np.where(grow, -(-shape // 2), shape), np.where(grow, 2, 1) * spacing
+    while shape.prod() > _COARSEST_CELLS and (shape > 2).any():
+        grow = (shape > 2) & (spacing < 1.5 * spacing[shape > 2].min())
+        between.append(grow)
+        shape, spacing = np.where(grow, -(-shape // 2), shape), np.where(grow, 2, 1) * spacing
+    return before, between
 
 
 def _coarsen(sink, t, grow):
@@ -137,7 +145,8 @@ class _Level:
             padded[inner] = face
             self.t.append(padded)
             self.diagonal += padded + np.roll(padded, 1, axis=a)
-        self.inverse = np.where(self.diagonal > 0, 1.0 / np.where(self.diagonal > 0, self.diagonal, 1), 0)
+        filled = self.diagonal > 0
+        self.inverse = np.where(filled, 1.0 / np.where(filled, self.diagonal, 1.0), 0.0)
         self.x, self.b, self.d, self.r = (np.zeros(shape) for _ in range(4))
 
     def smooth(self, from_zero: bool) -> None:
