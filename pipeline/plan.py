@@ -144,7 +144,7 @@ def make_plan(scene: Scene, solid: Solid | None = None, workers: int | None = No
     )
     return Plan(
         tasks=tuple(tasks),
-        omissions=tuple(_omissions(scene)),
+        omissions=tuple(scene_omissions(scene)),
         nodes=nodes,
         unknowns=unknowns,
         seconds=sum(task.seconds for task in tasks),
@@ -258,7 +258,8 @@ def _mesh_counts(scene: Scene, solid: Solid) -> tuple[int, int, int]:
     return cells, 3 * round(points), cells * element.points
 
 
-def _omissions(scene: Scene) -> list[Omission]:
+def scene_omissions(scene: Scene) -> list[Omission]:
+    """What the model and the scene leave out; it follows from the settings alone."""
     found = [
         Omission(
             "diffusion within the metal",
