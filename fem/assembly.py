@@ -2,8 +2,9 @@
 
 Total Lagrangian weak form sum_q V_q P : grad v with P = tau F^-T; stiffness from
 d(P) F^T = d(tau) - tau l^T, so K_ab = sum_q V_q g_a . (c - tau (x) 1) . g_b with spatial gradients
-g. With mean dilatation (F-bar, de Souza Neto et al. 1996) F is scaled by r = (Jm/J)^(1/3), Jm the
-mean of J over the cell, the stress is that of the scaled F, and the tangent has one term more.
+g. With mean dilatation (F-bar, de Souza Neto et al. 1996; patches of tetrahedra, 2005) F is scaled
+by r = (Jm/J)^(1/3), Jm the mean of J over the group (cell or patch); the stress is that of the
+scaled F, and the tangent has one term more, which couples all nodes of the group.
 """
 
 from __future__ import annotations
@@ -40,6 +41,9 @@ class Assembler:
         self.material = material.parameters()
         self.kind, self.hardening = material.hardening.kind, material.hardening.parameters()
         self.alive = np.ones(len(discretisation.cells), bool)
+        groups = discretisation.groups
+        sizes = np.diff(groups.cell_start), np.diff(groups.node_start)
+        self._largest = tuple(int(size.max()) if size.size else 1 for size in sizes)
         self.force = np.zeros_like(discretisation.coordinates)
         self.values = np.zeros(9 * len(discretisation.columns))
         self.seconds = 0.0
@@ -59,160 +63,220 @@ class Assembler:
         for group in (slabs[0::2], slabs[1::2]):
             jobs = [self._job(first, last, displacement, state, stiffness) for first, last in group]
             if self._pool is None or len(jobs) == 1:
-                results += [_assemble_cells(*job) for job in jobs]
+                results += [_assemble_groups(*job) for job in jobs]
             else:
-                results += list(self._pool.map(lambda job: _assemble_cells(*job), jobs))
+                results += list(self._pool.map(lambda job: _assemble_groups(*job), jobs))
         totals = np.array(results).sum(axis=0)
         self.seconds += time.perf_counter() - start
         return Assembled(self.force, self.values, int(totals[0]), totals[1], totals[2])
 
     def _job(self, first, last, displacement, state, stiffness):
-        d, old, new = self.discretisation, state.old, state.new
+        d, g, old, new = self.discretisation, self.discretisation.groups, state.old, state.new
         return (
-            first, last, d.cells, d.owned, self.alive, d.gradients, d.volumes, displacement,
-            old.plastic, old.strain, old.damage,
-            new.plastic, new.strain, new.damage, new.mises, new.pressure,
-            self.material, self.kind, self.hardening, d.element.mean_dilatation, stiffness,
-            d.owned_nodes, d.row_start, d.position, self.force, self.values,
+            first, last, self._largest, stiffness, d.element.mean_dilatation,
+            (d.cells, d.owned, self.alive, d.gradients, d.volumes, displacement),
+            (g.cell_start, g.node_start, g.nodes, g.place),
+            (old.plastic, old.strain, old.damage),
+            (new.plastic, new.strain, new.damage, new.mises, new.pressure),
+            (self.material, self.kind, self.hardening),
+            (d.owned_nodes, d.row_start, g.pair_start, d.position, self.force, self.values),
         )  # fmt: skip
 
 
 @njit(cache=True, nogil=True)
-def _assemble_cells(
-    first, last, cells, owned, alive, gradients, volumes, displacement,
-    plastic_old, strain_old, damage_old, plastic_new, strain_new, damage_new, mises, pressure,
-    material, kind, hardening, mean_dilatation, stiffness,
-    owned_nodes, row_start, position, force, values,
-):  # fmt: skip
-    """Cells first..last-1; returns (failed points, stored energy, dissipated energy)."""
+def _assemble_groups(
+    first, last, largest, stiffness, averaged, mesh, groups, old, new, law, target
+):
+    """Groups first..last-1; returns (failed points, stored energy, dissipated energy)."""
+    cells, owned, alive, gradients, volumes, displacement = mesh
+    cell_start, node_start, group_nodes, place = groups
     nn, nq = cells.shape[1], gradients.shape[1]
     small, dyad, tangent = np.empty((6, 3, 3)), np.empty((9, 9)), np.empty((9, 9))
-    stress = np.empty((3, 3))
-    deformation, inverse = np.empty((nq, 3, 3)), np.empty((3, 3))
-    jacobian, spatial = np.empty(nq), np.empty((nq, nn, 3))
-    mean_gradient, column, extra = np.empty((nn, 3)), np.empty((9, 3)), np.empty((nn, 3))
-    local_force, local = np.empty((nn, 3)), np.empty((3 * nn, 3 * nn))
+    stress, scaled = np.empty((3, 3)), np.empty((3, 3))
+    deformation, inverse = np.empty((largest[0], nq, 3, 3)), np.empty((3, 3))
+    jacobian, spatial = np.empty((largest[0], nq)), np.empty((largest[0], nq, nn, 3))
+    mean_gradient, extra = np.zeros((largest[1], 3)), np.empty((nn, 3))
+    local_force, local = np.empty((largest[1], 3)), np.empty((3 * largest[1], 3 * largest[1]))
     failed, stored, dissipated = 0.0, 0.0, 0.0
-    for c in range(first, last):
-        if not alive[c]:
-            for q in range(nq):
-                plastic_new[c, q] = plastic_old[c, q]
-                strain_new[c, q], damage_new[c, q] = strain_old[c, q], damage_old[c, q]
-                mises[c, q] = pressure[c, q] = 0.0
+    for g in range(first, last):
+        start, stop = cell_start[g], cell_start[g + 1]
+        nodes = node_start[g + 1] - node_start[g]
+        wrong, mean, volume = _kinematics(
+            start, stop, mesh, deformation, inverse, jacobian, spatial
+        )
+        if volume == 0.0 or wrong > 0.0:
+            failed += wrong
+            _keep(start, stop, nq, old, new)
             continue
-        valid = True
-        weight_sum, mean = 0.0, 0.0
-        for q in range(nq):
+        for a in range(nodes):
             for i in range(3):
-                for j in range(3):
-                    value = 1.0 if i == j else 0.0
+                mean_gradient[a, i] = local_force[a, i] = 0.0
+        if averaged and stiffness:
+            for c in range(start, stop):
+                if not alive[c]:
+                    continue
+                for q in range(nq):
+                    part = volumes[c, q] * jacobian[c - start, q] / (mean * volume)
                     for a in range(nn):
-                        value += displacement[cells[c, a], i] * gradients[c, q, a, j]
-                    deformation[q, i, j] = value
-            jacobian[q] = invert(deformation[q], inverse)
-            valid = valid and jacobian[q] > 0.0
-            for a in range(nn):
+                        for i in range(3):
+                            mean_gradient[place[c, a], i] += part * spatial[c - start, q, a, i]
+        if stiffness:
+            local[: 3 * nodes, : 3 * nodes] = 0.0
+        for c in range(start, stop):
+            if not alive[c]:
+                _keep(c, c + 1, nq, old, new)
+                continue
+            for q in range(nq):
+                ratio = 1.0
+                if averaged:
+                    ratio = (mean / jacobian[c - start, q]) ** (1.0 / 3.0)
                 for i in range(3):
-                    spatial[q, a, i] = (
-                        inverse[0, i] * gradients[c, q, a, 0]
-                        + inverse[1, i] * gradients[c, q, a, 1]
-                        + inverse[2, i] * gradients[c, q, a, 2]
-                    )
-            weight_sum += volumes[c, q]
-            mean += volumes[c, q] * jacobian[q]
-        if not valid:
-            if owned[c]:
-                failed += 1.0
-            continue
-        mean /= weight_sum
-        if mean_dilatation and stiffness:
-            for a in range(nn):
-                for i in range(3):
-                    value = 0.0
-                    for q in range(nq):
-                        value += volumes[c, q] * jacobian[q] * spatial[q, a, i]
-                    mean_gradient[a, i] = value / (mean * weight_sum)
-        local_force[:] = 0.0
-        local[:] = 0.0
-        for q in range(nq):
-            weight = volumes[c, q]
-            if mean_dilatation:
-                ratio = (mean / jacobian[q]) ** (1.0 / 3.0)
-                deformation[q] *= ratio
-                weight /= ratio**3
-            ok, strain, damage, energy, work, eq, hydrostatic = update_point(
-                deformation[q], plastic_old[c, q], strain_old[c, q], damage_old[c, q],
-                material, kind, hardening, stiffness, stress, tangent, plastic_new[c, q],
-                small, dyad,
-            )  # fmt: skip
-            strain_new[c, q], damage_new[c, q] = strain, damage
-            mises[c, q], pressure[c, q] = eq, hydrostatic
-            if not ok:
+                    for j in range(3):
+                        scaled[i, j] = ratio * deformation[c - start, q, i, j]
+                weight = volumes[c, q] / ratio**3
+                ok, strain, damage, energy, work, mises, pressure = update_point(
+                    scaled, old[0][c, q], old[1][c, q], old[2][c, q], law[0], law[1], law[2],
+                    stiffness, stress, tangent, new[0][c, q], small, dyad,
+                )  # fmt: skip
+                new[1][c, q], new[2][c, q], new[3][c, q], new[4][c, q] = (
+                    strain, damage, mises, pressure,
+                )  # fmt: skip
                 if owned[c]:
-                    failed += 1.0
-                continue
-            if owned[c]:
-                stored += volumes[c, q] * energy
-                dissipated += volumes[c, q] * work
-            for a in range(nn):
-                for i in range(3):
-                    local_force[a, i] += weight * (
-                        stress[i, 0] * spatial[q, a, 0]
-                        + stress[i, 1] * spatial[q, a, 1]
-                        + stress[i, 2] * spatial[q, a, 2]
-                    )
-            if not stiffness:
-                continue
-            if mean_dilatation:
+                    if not ok:
+                        failed += 1.0
+                    stored += volumes[c, q] * energy
+                    dissipated += volumes[c, q] * work
                 for a in range(nn):
                     for i in range(3):
                         value = 0.0
                         for j in range(3):
-                            k = 3 * i + j
-                            third = (tangent[k, 0] + tangent[k, 4] + tangent[k, 8]) / 3.0
-                            value += (third - stress[i, j]) * spatial[q, a, j]
-                        extra[a, i] = weight * value
+                            value += stress[i, j] * spatial[c - start, q, a, j]
+                        local_force[place[c, a], i] += weight * value
+                if stiffness:
+                    _add_stiffness(
+                        weight, averaged, nodes, place[c], spatial[c - start, q], mean_gradient,
+                        stress, tangent, extra, local,
+                    )  # fmt: skip
+        _scatter(g, nodes, group_nodes[node_start[g] :], stiffness, local_force, local, target)
+    return failed, stored, dissipated
+
+
+@njit(cache=True, nogil=True)
+def _keep(start, stop, nq, old, new):
+    """New state = old state, without stress, for cells that are not evaluated."""
+    for c in range(start, stop):
+        for q in range(nq):
+            for k in range(6):
+                new[0][c, q, k] = old[0][c, q, k]
+            new[1][c, q], new[2][c, q] = old[1][c, q], old[2][c, q]
+            new[3][c, q] = new[4][c, q] = 0.0
+
+
+@njit(cache=True, nogil=True)
+def _kinematics(start, stop, mesh, deformation, inverse, jacobian, spatial):
+    """Fill F, J and spatial gradients; return (inverted owned points, mean J, volume)."""
+    cells, owned, alive, gradients, volumes, displacement = mesh
+    nn, nq = cells.shape[1], gradients.shape[1]
+    wrong, total, volume = 0.0, 0.0, 0.0
+    for c in range(start, stop):
+        if not alive[c]:
+            continue
+        for q in range(nq):
+            target = deformation[c - start, q]
             for i in range(3):
                 for j in range(3):
-                    for m in range(3):
-                        tangent[3 * i + j, 3 * j + m] -= stress[i, m]
+                    target[i, j] = 1.0 if i == j else 0.0
+            for a in range(nn):
+                node = cells[c, a]
+                for i in range(3):
+                    for j in range(3):
+                        target[i, j] += displacement[node, i] * gradients[c, q, a, j]
+            value = invert(target, inverse)
+            jacobian[c - start, q] = value
+            if not value > 0.0:
+                wrong += 1.0 if owned[c] else 1e-9
+            for a in range(nn):
+                for i in range(3):
+                    spatial[c - start, q, a, i] = (
+                        inverse[0, i] * gradients[c, q, a, 0]
+                        + inverse[1, i] * gradients[c, q, a, 1]
+                        + inverse[2, i] * gradients[c, q, a, 2]
+                    )
+            volume += volumes[c, q]
+            total += volumes[c, q] * value
+    if volume > 0.0:
+        total /= volume
+    return wrong, total, volume
+
+
+@njit(cache=True, nogil=True)
+def _add_stiffness(
+    weight, averaged, nodes, place, spatial, mean_gradient, stress, tangent, extra, local
+):
+    """Add one point: g_a . (c - tau (x) 1) . g_b, and with F-bar (c:1/3 - tau) g_a (x) (gm_b - g_b)."""
+    nn = place.size
+    if averaged:
+        for a in range(nn):
+            for i in range(3):
+                value = 0.0
+                for j in range(3):
+                    k = 3 * i + j
+                    third = (tangent[k, 0] + tangent[k, 4] + tangent[k, 8]) / 3.0
+                    value += (third - stress[i, j]) * spatial[a, j]
+                extra[a, i] = weight * value
+    for i in range(3):
+        for j in range(3):
+            for m in range(3):
+                tangent[3 * i + j, 3 * j + m] -= stress[i, m]
+    for a in range(nn):
+        row = 3 * place[a]
+        x, y, z = weight * spatial[a, 0], weight * spatial[a, 1], weight * spatial[a, 2]
+        for i in range(3):
+            # t_kl = g_a,j A_ijkl: nine numbers, then one dot product per neighbour
+            t0 = x * tangent[3 * i, 0] + y * tangent[3 * i + 1, 0] + z * tangent[3 * i + 2, 0]
+            t1 = x * tangent[3 * i, 1] + y * tangent[3 * i + 1, 1] + z * tangent[3 * i + 2, 1]
+            t2 = x * tangent[3 * i, 2] + y * tangent[3 * i + 1, 2] + z * tangent[3 * i + 2, 2]
+            t3 = x * tangent[3 * i, 3] + y * tangent[3 * i + 1, 3] + z * tangent[3 * i + 2, 3]
+            t4 = x * tangent[3 * i, 4] + y * tangent[3 * i + 1, 4] + z * tangent[3 * i + 2, 4]
+            t5 = x * tangent[3 * i, 5] + y * tangent[3 * i + 1, 5] + z * tangent[3 * i + 2, 5]
+            t6 = x * tangent[3 * i, 6] + y * tangent[3 * i + 1, 6] + z * tangent[3 * i + 2, 6]
+            t7 = x * tangent[3 * i, 7] + y * tangent[3 * i + 1, 7] + z * tangent[3 * i + 2, 7]
+            t8 = x * tangent[3 * i, 8] + y * tangent[3 * i + 1, 8] + z * tangent[3 * i + 2, 8]
             for b in range(nn):
-                for i in range(9):
+                column = 3 * place[b]
+                u, v, w = spatial[b, 0], spatial[b, 1], spatial[b, 2]
+                local[row + i, column] += t0 * u + t1 * v + t2 * w
+                local[row + i, column + 1] += t3 * u + t4 * v + t5 * w
+                local[row + i, column + 2] += t6 * u + t7 * v + t8 * w
+    if averaged:
+        for a in range(nn):
+            for i in range(3):
+                row, value = 3 * place[a] + i, extra[a, i]
+                for b in range(nodes):
                     for k in range(3):
-                        column[i, k] = weight * (
-                            tangent[i, 3 * k] * spatial[q, b, 0]
-                            + tangent[i, 3 * k + 1] * spatial[q, b, 1]
-                            + tangent[i, 3 * k + 2] * spatial[q, b, 2]
-                        )
-                for a in range(nn):
-                    for i in range(3):
-                        for k in range(3):
-                            local[3 * a + i, 3 * b + k] += (
-                                spatial[q, a, 0] * column[3 * i, k]
-                                + spatial[q, a, 1] * column[3 * i + 1, k]
-                                + spatial[q, a, 2] * column[3 * i + 2, k]
-                            )
-            if mean_dilatation:
+                        local[row, 3 * b + k] += value * mean_gradient[b, k]
                 for b in range(nn):
                     for k in range(3):
-                        change = mean_gradient[b, k] - spatial[q, b, k]
-                        for a in range(nn):
-                            for i in range(3):
-                                local[3 * a + i, 3 * b + k] += extra[a, i] * change
-        for a in range(nn):
-            row = cells[c, a]
+                        local[row, 3 * place[b] + k] -= value * spatial[b, k]
+
+
+@njit(cache=True, nogil=True)
+def _scatter(group, nodes, group_nodes, stiffness, local_force, local, target):
+    """Add a group's force and stiffness to those of the rank."""
+    owned_nodes, row_start, pair_start, position, force, values = target
+    for a in range(nodes):
+        row = group_nodes[a]
+        for i in range(3):
+            force[row, i] += local_force[a, i]
+        if not stiffness or row >= owned_nodes:
+            continue
+        start, width = row_start[row], 3 * (row_start[row + 1] - row_start[row])
+        for b in range(nodes):
+            block = position[pair_start[group] + a * nodes + b] - start
             for i in range(3):
-                force[row, i] += local_force[a, i]
-            if not stiffness or row >= owned_nodes:
-                continue
-            start, width = row_start[row], 3 * (row_start[row + 1] - row_start[row])
-            for b in range(nn):
-                block = position[c, a * nn + b] - start
-                for i in range(3):
-                    at = 9 * start + i * width + 3 * block
-                    for k in range(3):
-                        values[at + k] += local[3 * a + i, 3 * b + k]
-    return failed, stored, dissipated
+                at = 9 * start + i * width + 3 * block
+                for k in range(3):
+                    values[at + k] += local[3 * a + i, 3 * b + k]
 
 
 @njit(cache=True, nogil=True)
@@ -234,7 +298,6 @@ def multiply(row_start, columns, values, vector, result):
 def constrain(row_start, columns, values, fixed, scale):
     """Replace rows and columns of fixed unknowns (n, 3 bool) by `scale` on the diagonal.
 
-    Rows without any stiffness (nodes of removed cells only) get the same diagonal.
     """
     for row in range(row_start.size - 1):
         start, blocks = row_start[row], row_start[row + 1] - row_start[row]

@@ -14,7 +14,7 @@ from fem.solvers import LinearSolver
 
 log = logging.getLogger(__name__)
 _LINE_SEARCH = (1.0, 0.5, 0.25, 0.1, 0.03)
-_ACCEPTED_GROWTH = 1.5  # of the residual; plastic flow may raise it once on the way
+_ACCEPTED_GROWTH = 0.9  # of the residual; plastic flow may raise it once on the way
 
 
 @dataclass

@@ -27,7 +27,8 @@ class Element:
     order: int  # of the shape functions: 1 or 2
     barycentric: np.ndarray  # (nq, 4) quadrature points
     weights: np.ndarray  # (nq,), sum 1/6
-    mean_dilatation: bool  # F-bar: the volume change is averaged (over the cell, or over a patch)
+    mean_dilatation: bool = False  # F-bar: the volume change is averaged over the cell
+    patches: bool = False  # ... or over a patch of cells
 
     @property
     def nodes(self) -> int:
@@ -55,8 +56,9 @@ class Element:
 
 _ONE_POINT = np.full((1, 4), 0.25)
 ELEMENTS: dict[str, Element] = {
-    "P1": Element("P1", 1, _ONE_POINT, np.array([1.0 / 6.0]), False),
-    "P2": Element("P2", 2, _FOUR_POINTS, np.full(4, 1.0 / 24.0), False),
+    "P1": Element("P1", 1, _ONE_POINT, np.array([1.0 / 6.0])),
+    "P1-Fbar": Element("P1-Fbar", 1, _ONE_POINT, np.array([1.0 / 6.0]), True, True),
+    "P2": Element("P2", 2, _FOUR_POINTS, np.full(4, 1.0 / 24.0)),
     "P2-Fbar": Element("P2-Fbar", 2, _FOUR_POINTS, np.full(4, 1.0 / 24.0), True),
 }
 
@@ -79,7 +81,7 @@ def quadrature_points(
     ----------
     points: (n, 3) vertices [m].
     cells: (nc, 4) vertex numbers.
-    element: "P1" (one point), "P2" or "P2-Fbar" (four points).
+    element: "P1", "P1-Fbar" (one point), "P2" or "P2-Fbar" (four points).
 
     Returns
     -------

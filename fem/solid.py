@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from fem.quadrature import FACES
+from fem.patches import face_pairs
 
 
 @dataclass(frozen=True)
@@ -95,17 +95,7 @@ def remains(cells: np.ndarray, alive: np.ndarray, bottom: np.ndarray, top: np.nd
     pieces = np.full(len(cells), -1)
     if not len(living):
         return Remains(np.zeros(len(cells), bool), pieces, int((~alive).sum()), 0, 0)
-    faces = np.sort(living[:, FACES].reshape(-1, 3), axis=1).astype(np.int64)
-    count = np.int64(len(bottom))
-    if count < 2_000_000:  # one integer per face sorts faster than three
-        keys = (faces[:, 0] * count + faces[:, 1]) * count + faces[:, 2]
-        order = np.argsort(keys, kind="stable")
-        same = keys[order][1:] == keys[order][:-1]
-    else:
-        order = np.lexsort(faces.T[::-1])
-        same = (faces[order][1:] == faces[order][:-1]).all(axis=1)
-    owner = order // 4
-    first, second = owner[:-1][same], owner[1:][same]
+    first, second = (side // 4 for side in face_pairs(living, len(bottom)))
     graph = coo_matrix((np.ones(len(first), np.int8), (first, second)), shape=(len(living),) * 2)
     total, label = connected_components(graph, directed=False)
     held_bottom, held_top = np.zeros(total, bool), np.zeros(total, bool)
@@ -147,20 +137,26 @@ def guide_vertices(
 
 
 def destinations(
-    points: np.ndarray, cells: np.ndarray, ranks: int
+    points: np.ndarray, cells: np.ndarray, groups: np.ndarray, ranks: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Slabs along z with equal numbers of cells; ghosts are the cells that share a vertex.
+    """Slabs along z with equal numbers of groups; ghosts are the groups that share a vertex.
 
+    groups: (nc,) number of the patch of each cell (or of the cell itself), which is never split.
     Returns the adjacency list (ranks, offsets): for each cell its owner, then the ghosting ranks.
     """
-    height = points[cells, 2].mean(axis=1)
-    owner = np.empty(len(cells), np.int32)
+    total = int(groups.max()) + 1
+    height = np.bincount(groups, points[cells, 2].mean(axis=1)) / np.bincount(groups)
+    group_owner = np.empty(total, np.int32)
     for rank, part in enumerate(np.array_split(np.argsort(height, kind="stable"), ranks)):
-        owner[part] = rank
+        group_owner[part] = rank
+    owner = group_owner[groups]
     touched = np.zeros((len(points), ranks), bool)
     for corner in range(4):
         touched[cells[:, corner], owner] = True
-    needed = touched[cells].any(axis=1)
+    group_needed = np.zeros((total, ranks), bool)
+    cell, rank = np.nonzero(touched[cells].any(axis=1))
+    group_needed[groups[cell], rank] = True
+    needed = group_needed[groups]
     needed[np.arange(len(cells)), owner] = False
     lists = np.concatenate([owner[:, None], np.where(needed, np.arange(ranks)[None], -1)], axis=1)
     keep = lists >= 0

@@ -22,6 +22,7 @@ from fem.constitutive.gurson import LIMIT
 from fem.constitutive.material import Material
 from fem.discretisation import Discretisation, build
 from fem.newton import EquilibriumSolver
+from fem.patches import make_patches
 from fem.quadrature import Element, find_element
 from fem.quadrature_state import QuadratureState
 from fem.solid import Grips, Held, Remains, destinations, guide_vertices, remains
@@ -36,7 +37,7 @@ _EASY, _HARD = 5, 8  # Newton iterations below which increments grow, above whic
 class TensileSettings:
     """How the test is run. Strains are elongation over the length of the whole solid.
 
-    element: "P1", "P2" or "P2-Fbar". The test ends at `maximum_strain`, or, unless `full_curve`,
+    element: "P1", "P1-Fbar", "P2" or "P2-Fbar". The test ends at `maximum_strain`, or, unless `full_curve`,
     once the force has fallen by the fraction `peak_drop` below its peak. `tolerance` is that of the
     residual force relative to the largest reaction. threads: None takes the processors there are
     when the communicator has one rank, and one otherwise.
@@ -161,6 +162,7 @@ class _Prepared:
     guides: list[tuple[int, int]]
     plan: tuple[np.ndarray, np.ndarray]
     kept: np.ndarray  # original numbers of the kept cells
+    groups: np.ndarray  # patch of each kept cell
 
     def summary(self) -> dict:
         """The small part that every rank needs."""
@@ -208,10 +210,13 @@ def _prepare(points, cells, f0, material, grips, element, ranks) -> _Prepared:
     if not left.severed and grips.lateral == "free":
         guides = guide_vertices(points, cells, left.pieces, bottom)
     kept = np.flatnonzero(left.kept)
-    plan = destinations(points, cells[kept], ranks) if len(kept) else (np.zeros(0), np.zeros(1))
-    return _Prepared(
-        points, cells, np.minimum(damage, parameters[LIMIT]), held, left, guides, plan, kept
-    )
+    groups, plan = np.arange(len(kept)), (np.zeros(0), np.zeros(1))
+    if len(kept):
+        if element.patches:
+            groups = make_patches(cells[kept], len(points))
+        plan = destinations(points, cells[kept], groups, ranks)
+    damage = np.minimum(damage, parameters[LIMIT])
+    return _Prepared(points, cells, damage, held, left, guides, plan, kept, groups)
 
 
 class _Test:
@@ -229,9 +234,13 @@ class _Test:
             prepared.plan if root else None,
             element.order,
         )
-        self.discretisation = build(local, element, threads)
+        groups = self._scatter(local.original_cells, lambda: prepared.groups)
+        self.discretisation = build(local, element, groups, threads)
         self.assembler = Assembler(self.discretisation, material, threads)
-        self.state = QuadratureState(self._scatter_damage())
+        damage = self._scatter(
+            self.discretisation.original_cells, lambda: prepared.damage[prepared.kept]
+        )
+        self.state = QuadratureState(damage)
         self.limit = material.parameters()[LIMIT]
         self.top = self.held.at_top(local.coordinates)
         self.fixed = self._fixed_unknowns()
@@ -249,13 +258,13 @@ class _Test:
         self.vertices, numbered = np.unique(cells, return_inverse=True)
         return self.prepared.points[self.vertices], numbered.reshape(-1, 4)
 
-    def _scatter_damage(self) -> np.ndarray:
-        """Rows of f0 of the local cells, from rank 0."""
-        wanted = self.comm.gather(self.discretisation.original_cells)
+    def _scatter(self, numbers: np.ndarray, values: Callable[[], np.ndarray]) -> np.ndarray:
+        """Rows `numbers` of an array over the kept cells that only rank 0 has."""
+        wanted = self.comm.gather(numbers)
         parts = None
         if self.comm.rank == 0:
-            damage = self.prepared.damage[self.prepared.kept]
-            parts = [damage[numbers] for numbers in wanted]
+            everything = values()
+            parts = [everything[rows] for rows in wanted]
         return self.comm.scatter(parts)
 
     def _fixed_unknowns(self) -> np.ndarray:

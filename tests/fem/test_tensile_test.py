@@ -16,7 +16,7 @@ LAW = VoceHardening(130e6, 156e6, 10.6)
 MAGNESIUM = Material(43e9, 0.3, LAW)
 SMALL_BAR = round_bar(2, 4, 1e-3, 4e-3, waist=0.3)
 BAR = round_bar(4, 6, 1e-3, 4e-3, waist=0.3)
-ELEMENTS = ["P1", "P2", "P2-Fbar"]
+ELEMENTS = ["P1", "P1-Fbar", "P2", "P2-Fbar"]
 
 
 def distorted_box(shape=(2, 2, 3), size=(1e-3, 1e-3, 1.5e-3), amount=0.15):
@@ -221,7 +221,7 @@ def test_refuses(change, words):
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: TensileSettings(element="P3"), "P1, P2"),
+        (lambda: TensileSettings(element="P3"), "P1, P1-Fbar, P2"),
         (lambda: TensileSettings(maximum_strain=0.0), "maximum_strain"),
         (lambda: TensileSettings(linear_solver="magic"), "auto, mumps, gamg"),
         (lambda: Material(43e9, 0.5, LAW), "poisson"),
