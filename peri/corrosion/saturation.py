@@ -36,7 +36,8 @@ def next_active_set(
     stays = active & (needed <= available) & (available > 0)
     joins = ~active & (concentration > saturation_concentration * (1 + 1e-12))
     ratio = np.divide(needed, available, out=np.ones_like(needed), where=available > 0)
-    theta = np.where(stays, np.clip(ratio, 0.0, 1.0), 1.0)
+    # Not clipped at zero: a need that is negative by round-off stays in the mass balance.
+    theta = np.where(stays, np.minimum(ratio, 1.0), 1.0)
     # A node that joins starts from full bonds; the next round computes its theta.
     return stays | joins, theta
 
