@@ -59,7 +59,7 @@ class LifeCycle:
         times = self.scene.with_intact()
         if times != self.scene.immersion:
             self.progress.note(
-                "time zero was not asked for; the intact screw is pulled too, for the strength ratio"
+                "time zero was not asked for; the intact solid is pulled too, for the ratio"
             )
         names = [alloy.name for alloy in self.scene.alloys]
         self.geometry()

@@ -70,11 +70,10 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
     tensile.add_argument("--top-grip", metavar="LENGTH", help="held at the top (end face)")
     tensile.add_argument("--lateral", metavar="L", help=f"grips leave it {' or '.join(LATERAL)}")
     tensile.add_argument(
-        "--to-peak",
-        dest="whole_curve",
-        action="store_const",
-        const=False,
-        help="end each test past its peak force",
+        "--peak-drop",
+        type=float,
+        metavar="X",
+        help="end a test when the force has fallen by this fraction (0.5); 1: the whole curve",
     )
     tensile.add_argument("--final-strain", type=float, metavar="X", help="nominal (0.1)")
     tensile.add_argument("--increment", type=float, metavar="X", help="largest strain increment")
@@ -105,7 +104,7 @@ def scene_from_options(options: argparse.Namespace) -> Scene:
         lateral="lateral",
         final_strain="final_strain",
         increment="increment",
-        whole_curve="whole_curve",
+        peak_drop="peak_drop",
     )
     for name in ("bottom_grip", "top_grip"):
         if getattr(options, name) is not None:

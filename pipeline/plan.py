@@ -277,6 +277,13 @@ def scene_omissions(scene: Scene) -> list[Omission]:
     ]
     if scene.immersion[0].seconds == 0 and len(scene.immersion) == 1:
         found.append(Omission("corrosion", "only time zero is asked for", "none"))
-    if not scene.tensile.whole_curve:
-        found.append(Omission("the curve past the peak", "only the strength is asked for", "none"))
+    drop = scene.tensile.peak_drop
+    if drop < 1:
+        found.append(
+            Omission(
+                "the end of a force-elongation curve",
+                f"a test ends once the force is {100 * drop:g} % below its peak (--peak-drop)",
+                "none in peak force and elongation at peak",
+            )
+        )
     return found

@@ -230,8 +230,8 @@ class TensileScene:
     """The tensile test: element, nominal strain at the end, largest increment, grips.
 
     bottom_grip, top_grip: held lengths at the ends (m), 0 holds the end faces only; lateral:
-    whether grips leave lateral motion free; whole_curve: go on to the final strain when the
-    force has fallen past its peak.
+    whether grips leave lateral motion free; peak_drop: the test ends when the force has fallen
+    by this fraction below its peak, or at the final strain; 1 asks for the whole curve.
     """
 
     element: str = "P2"
@@ -240,16 +240,15 @@ class TensileScene:
     bottom_grip: float = 0.0
     top_grip: float = 0.0
     lateral: str = "free"
-    whole_curve: bool = True
+    peak_drop: float = 0.5
 
     def __post_init__(self) -> None:
         _one_of("element", self.element, tuple(ELEMENTS))
         _one_of("lateral", self.lateral, LATERAL)
+        _check(0 < self.peak_drop <= 1, "peak drop", self.peak_drop, "in (0, 1]")
         for name in ("bottom_grip", "top_grip"):
             value = getattr(self, name)
-            _check(
-                math.isfinite(value) and value >= 0, name.replace("_", " "), value, "at least 0"
-            )
+            _check(math.isfinite(value) and value >= 0, name.replace("_", " "), value, "at least 0")
         _check(0 < self.final_strain <= 1, "final strain", self.final_strain, "in (0, 1]")
         _check(
             0 < self.increment <= self.final_strain,

@@ -1,0 +1,119 @@
+"""Benchmarks: a registry of named measurements, each giving quantities with value and target.
+
+A newcomer adds one by writing a function that returns `Result`s and naming it in BENCHMARKS.
+"""
+
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from pipeline import machine
+from pipeline.progress import Progress
+
+ALLOYS = ["Mg-5Gd", "Mg-10Gd"]
+TIMES = ["0w", "1w", "2w", "4w", "8w", "24w"]
+
+
+@dataclass(frozen=True)
+class Result:
+    """One measured quantity; target says what is asked of it, or None."""
+
+    quantity: str
+    value: float
+    unit: str
+    target: str | None = None
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """A named measurement."""
+
+    description: str
+    measure: Callable[[], list[Result]]
+
+
+def run_benchmark(name: str) -> dict[str, object]:
+    """Run one benchmark; returns {"name", "machine", "results"}.
+
+    Raises ValueError that names the known ones.
+    """
+    if name not in BENCHMARKS:
+        known = ", ".join(BENCHMARKS)
+        raise ValueError(f"benchmark '{name}' is not known; it must be one of {known}")
+    results = BENCHMARKS[name].measure()
+    return {
+        "name": name,
+        "machine": machine.describe_machine(),
+        "results": [asdict(result) for result in results],
+    }
+
+
+def print_result(result: dict) -> None:
+    """Print the object of `run_benchmark` as a table."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=f"{result['name']} on {result['machine']['processor']}")
+    for column in ("quantity", "value", "unit", "target"):
+        table.add_column(column, justify="right" if column == "value" else "left")
+    for row in result["results"]:
+        table.add_row(row["quantity"], f"{row['value']:.5g}", row["unit"], row["target"] or "")
+    Console().print(table)
+
+
+def quick_stages() -> list[Result]:
+    """The stages of the quick run of both alloys, 0 to 24 weeks, in a temporary folder."""
+    from pipeline.life_cycle import LifeCycle
+    from pipeline.resolve import resolve_scene
+
+    scene = resolve_scene(ALLOYS, TIMES, "quick")
+    with tempfile.TemporaryDirectory(prefix="perilife-bench-") as place:
+        clock = _StageClock()
+        cycle = LifeCycle(scene, Path(place), progress=clock)
+        rows = cycle.run()
+        results = [
+            Result(f"{stage} time", seconds, "s", None) for stage, seconds in clock.stages.items()
+        ]
+        results.append(Result("whole run time", clock.total(), "s", "<= 300"))
+        differences = [
+            abs(cycle.map(alloy, moment).numbers["relative_difference"])
+            for alloy in ALLOYS
+            for moment in scene.immersion
+        ]
+    at = {(row.alloy, row.immersion_days): row for row in rows}
+    for alloy in ALLOYS:
+        results += [
+            Result(f"{alloy} intact peak force", at[alloy, 0.0].peak_force_N, "N", "300 to 700"),
+            Result(f"{alloy} volume loss after 8 weeks", at[alloy, 56.0].volume_loss, "1"),
+            Result(f"{alloy} strength ratio after 8 weeks", at[alloy, 56.0].strength_ratio, "1"),
+            Result(f"{alloy} strength ratio after 24 weeks", at[alloy, 168.0].strength_ratio, "1"),
+        ]
+    results.append(Result("lost mass, mesh to lattice, largest difference", max(differences), "1"))
+    return results
+
+
+class _StageClock(Progress):
+    """Observer that adds up the wall time of each stage; pulls that run side by side count once."""
+
+    def __init__(self) -> None:
+        self._begin = self._last = time.perf_counter()
+        self.stages: dict[str, float] = {}
+
+    def finished(self, key: str, seconds: float) -> None:
+        now = time.perf_counter()
+        stage = key if key.startswith("corrode") else key.split()[0]
+        self.stages[stage] = self.stages.get(stage, 0.0) + now - self._last
+        self._last = now
+
+    def total(self) -> float:
+        """Seconds from the making of the clock to the end of the last stage."""
+        return self._last - self._begin
+
+
+BENCHMARKS: dict[str, Benchmark] = {
+    "quick-stages": Benchmark(
+        "the stages of the quick run: both alloys, 0 to 24 weeks", quick_stages
+    ),
+}
