@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from pipeline.plan import scene_omissions
 from pipeline.resolution import RESOLUTIONS
 from pipeline.run_results import ImmersionResult, RunResults, column
 from pipeline.units import format_seconds
@@ -93,11 +94,26 @@ def twice_as_sure(run: RunResults) -> str:
 
 
 def omissions(run: RunResults) -> list[dict[str, str]]:
-    """What the plan left out, with its bound, from the records of the corrosion stage."""
-    found = []
+    """What was left out, why, and the bound of the error, for the model and for each alloy.
+
+    The corrosion stage records its own omissions with name, reason, bound (relative to the volume
+    loss) and whether they were applied.
+    """
+    found = [
+        {"alloy": "all", "what": entry.what, "reason": entry.reason, "bound": entry.error}
+        for entry in scene_omissions(run.scene)
+    ]
     for alloy in run.alloys:
         entries = alloy.corrosion_numbers.get("omissions", [])
         for entry in entries if isinstance(entries, list) else []:
-            if isinstance(entry, dict):
-                found.append({"alloy": alloy.name, **{k: str(v) for k, v in entry.items()}})
+            if isinstance(entry, dict) and entry.get("applied", True):
+                bound = entry.get("bound")
+                text = f"{percent(bound, 3)} of the volume loss" if _finite(bound) else "not known"
+                name = str(entry.get("name", "")).replace("_", " ")
+                reason = str(entry.get("reason", ""))
+                found.append({"alloy": alloy.name, "what": name, "reason": reason, "bound": text})
     return found
+
+
+def _finite(value: object) -> bool:
+    return isinstance(value, int | float) and bool(np.isfinite(value))

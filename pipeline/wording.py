@@ -46,7 +46,7 @@ def headline(alloy: AlloyResult) -> str:
     parts.append(ending)
     sentence = f"{alloy.name} keeps " + " and ".join(parts)
     half = half_strength_time(alloy)
-    if half is not None:
+    if half is not None and not any(duration(half, rough=True) in part for part in parts):
         sentence += f"; half of it is gone after about {duration(half, rough=True)}"
     return sentence + "."
 

@@ -22,6 +22,10 @@ from pipeline.run_results import AlloyResult, ImmersionResult, read_run
 from pipeline.summary import SummaryRow, write_summary
 
 WEEKS = ("0w", "4w", "8w", "24w")
+LEFT_OUT = [
+    {"name": "solid_core", "reason": "beyond reach", "bound": 0.00042, "applied": True},
+    {"name": "liquid", "reason": "needed", "bound": 1.0, "applied": False},
+]
 RATIOS = {"Mg-5Gd": (1.0, 0.71, 0.43, 0.0), "Mg-10Gd": (1.0, 0.82, 0.64, 0.21)}
 
 
@@ -83,7 +87,7 @@ def write_run(path, scene, points, cells):
         balance = np.full_like(time, 3e-13)
         columns = {"time": time, "volume_loss": loss, "balance_error": balance}
         write_csv(folder.corrosion(alloy.name) / "history.csv", columns)
-        record(folder, folder.corrosion(alloy.name), "corrode", 40.0, volume_loss=[0.0])
+        record(folder, folder.corrosion(alloy.name), "corrode", 40.0, omissions=LEFT_OUT)
         for moment, ratio in zip(scene.immersion, RATIOS[alloy.name], strict=False):
             place = folder.immersion(alloy.name, moment.label)
             place.mkdir(parents=True)
@@ -229,6 +233,8 @@ def test_doubt_and_cost_are_stated(full):
     assert "has not been measured yet" in sure
     assert "3e-13" in sure and "1.23 %" in sure and "0.20 %" in sure  # balance, map, energy
     assert "1 min 20 s → 10 min 40 s to 1 h 25 min" in sure  # 2 x 40 s, 8 and 64 times
+    assert "beyond reach" in sure and "0.042 % of the volume loss" in sure
+    assert "needed" not in sure  # what was not left out is not listed
     assert "+0.54 %" in page.sections["made"]  # 9.3 / 9.25
 
 
