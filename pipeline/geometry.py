@@ -24,6 +24,7 @@ from pipeline.surface import (
     check_surface,
     read_stl,
     smallest_feature,
+    solid_of_surface,
     surface_volume_and_area,
 )
 from pipeline.thread import (
@@ -52,6 +53,7 @@ __all__ = [
 ]
 
 logger = logging.getLogger(__name__)
+occ = gmsh.model.occ
 
 STEP, BREP, STL = (".step", ".stp"), (".brep", ".brp"), (".stl",)
 STL_EDGE_ANGLE = math.radians(25.0)  # between triangles, from where on an edge of an STL is sharp
@@ -71,7 +73,20 @@ def _gmsh_session() -> Iterator[None]:
         gmsh.finalize()
 
 
-def screw_solid(parameters: ScrewParameters) -> Solid:
+@contextmanager
+def _silent_stdout() -> Iterator[None]:
+    """OpenCASCADE's readers and writers print past every option; send that nowhere."""
+    kept, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(nowhere)
+
+
+def screw_solid(screw: ScrewParameters) -> Solid:
     """The solid of a screw, its thread truly modelled.
 
     The helical thread is built from exact pieces: crest, flanks and root are helical B-spline
@@ -80,8 +95,6 @@ def screw_solid(parameters: ScrewParameters) -> Solid:
     is cut. Grooves are the same profile revolved.
     """
     with _gmsh_session():
-        occ = gmsh.model.occ
-        screw = parameters
         if screw.thread == "none":
             radius = screw.pin_diameter / 2 * MM
             body = (3, occ.addCylinder(0, 0, 0, 0, 0, screw.length * MM, radius))
@@ -92,15 +105,12 @@ def screw_solid(parameters: ScrewParameters) -> Solid:
             slab = (3, occ.addBox(-wide, -wide, 0, 2 * wide, 2 * wide, screw.length * MM))
             body = _one_volume(occ.intersect([body], [slab])[0], "thread")
         if screw.has_slot:
-            wide, width, depth = (
-                v * MM for v in (screw.diameter, screw.slot_width, screw.slot_depth)
-            )
+            wide, width, depth = screw.diameter * MM, screw.slot_width * MM, screw.slot_depth * MM
             floor = screw.length * MM - depth
             slot = (3, occ.addBox(-wide, -width / 2, floor, 2 * wide, width, depth + wide))
             body = _one_volume(occ.cut([body], [slot])[0], "slot")
-        name = f"screw M{parameters.diameter * MM:g} x {parameters.length * MM:g} mm"
-        reference = reference_volume_and_area(parameters)
-        return _finished_solid(name, body, reference, parameters.smallest_feature)
+        name = f"screw M{screw.diameter * MM:g} x {screw.length * MM:g} mm"
+        return _finished_solid(name, body, reference_volume_and_area(screw), screw.smallest_feature)
 
 
 def solid_from_file(path: str | Path, unit: str = "mm") -> Solid:
@@ -126,32 +136,22 @@ def solid_from_file(path: str | Path, unit: str = "mm") -> Solid:
     if kind in STL:
         points, triangles = read_stl(path, scale)
         check_surface(points, triangles, path.name)
-        measured = surface_volume_and_area(points, triangles)
-        return Solid(
-            name=path.name,
-            volume=measured[0],
-            area=measured[1],
-            reference_volume=measured[0],
-            reference_area=measured[1],
-            bounding_box=bounding_box(points),
-            smallest_feature=smallest_feature(points, triangles),
-            points=points,
-            triangles=triangles,
-        )
+        return solid_of_surface(path.name, points, triangles)
     with _gmsh_session():
-        occ = gmsh.model.occ
+        gmsh.option.setNumber("Geometry.OCCScaling", scale * MM)
         try:
-            shapes = occ.importShapes(str(path))
+            with _silent_stdout():
+                shapes = occ.importShapes(str(path))
         except Exception as error:
             raise ValueError(
                 f"{path.name} cannot be read as {kind[1:].upper()}: {error}"
             ) from error
+        finally:
+            gmsh.option.setNumber("Geometry.OCCScaling", 1.0)
         volumes = [shape for shape in shapes if shape[0] == 3]
         if len(volumes) != 1:
-            why = "its surface is open or it is empty" if not volumes else "allowed is exactly 1"
+            why = "it cannot be read or its surface is open" if not volumes else "allowed is 1"
             raise ValueError(f"{path.name} holds {len(volumes)} solids: {why}.")
-        if kind in BREP and scale * MM != 1.0:
-            occ.dilate(volumes, 0, 0, 0, *(3 * [scale * MM]))
         occ.synchronize()
         if occ.getMass(*volumes[0]) <= 0:
             raise ValueError(f"{path.name} is inverted: the volume of its solid is not positive.")
@@ -173,7 +173,8 @@ def write_cad(solid: Solid, path: str | Path) -> None:
         raise ValueError(f"path is {path.name!r}: allowed are files that end in {allowed}.")
     with _gmsh_session(), tempfile.TemporaryDirectory(dir=path.parent) as folder:
         _load_cad(solid.cad)
-        gmsh.write(str(Path(folder) / path.name))
+        with _silent_stdout():
+            gmsh.write(str(Path(folder) / path.name))
         os.replace(Path(folder) / path.name, path)
 
 
@@ -309,7 +310,6 @@ def _finished_solid(
     feature: float | None = None,
 ) -> Solid:
     """Measure, triangulate and store the one solid that the model is to hold."""
-    occ = gmsh.model.occ
     occ.synchronize()
     keep = set(gmsh.model.getBoundary([body], oriented=False))
     occ.remove([e for e in occ.getEntities(2) if e not in keep], recursive=True)
@@ -339,7 +339,7 @@ def _triangulate(body: tuple[int, int], feature: float | None) -> tuple[np.ndarr
     corners = np.array(gmsh.model.getBoundingBox(*body))
     extent = float(np.max(corners[3:] - corners[:3]))
     size = extent / 60 if feature is None else min(feature / 3 * MM, extent / 60)
-    option("Mesh.MeshSizeFromCurvature", 18)
+    option("Mesh.MeshSizeFromCurvature", 14)
     option("Mesh.MeshSizeMax", size)
     option("Mesh.MeshSizeMin", size / 8)
     option("Mesh.Algorithm", 6)
@@ -366,8 +366,8 @@ def _load_cad(cad: str) -> int:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "solid.brep"
         path.write_text(cad)
-        shapes = gmsh.model.occ.importShapes(str(path))
-    gmsh.model.occ.synchronize()
+        shapes = occ.importShapes(str(path))
+    occ.synchronize()
     return _one_volume(shapes, "model")[1]
 
 
@@ -400,7 +400,6 @@ def _one_volume(shapes: list[tuple[int, int]], what: str) -> tuple[int, int]:
 
 def _helical_body(screw: ScrewParameters) -> tuple[int, int]:
     """The threaded body from below z = 0 to above z = length, as one volume."""
-    occ = gmsh.model.occ
     pitch, length = screw.pitch * MM, screw.length * MM
     crest, outer = screw.crest_width / 2 * MM, screw.diameter / 2 * MM
     seam = seam_angle(screw)
@@ -427,7 +426,6 @@ def _helical_body(screw: ScrewParameters) -> tuple[int, int]:
 
 def _helicoid(turn: HelixTurn, piece: ProfilePiece, height: float, rise: float) -> tuple[int, int]:
     """The B-spline surface that a piece of the profile sweeps in one turn."""
-    occ = gmsh.model.occ
     poles = [
         occ.addPoint(r * c, r * s, height + h + rise * angle)
         for c, s, angle in zip(turn.cosine, turn.sine, turn.angles, strict=True)
@@ -452,7 +450,6 @@ def _meridian_face(
     pieces: list[ProfilePiece], angle: float, level: float, crest: float, pitch: float, outer: float
 ) -> tuple[int, int]:
     """The plane face between the axis and one pitch of the profile, at an angle."""
-    occ = gmsh.model.occ
     c, s = math.cos(angle), math.sin(angle)
 
     def point(radius: float, height: float) -> int:
@@ -471,7 +468,6 @@ def _meridian_face(
 
 
 def _profile_curve(piece: ProfilePiece, poles: list[int]) -> int:
-    occ = gmsh.model.occ
     if piece.degree == 1:
         return occ.addLine(*poles)
     knots, times = multiplicities(piece.knots)
@@ -480,7 +476,6 @@ def _profile_curve(piece: ProfilePiece, poles: list[int]) -> int:
 
 def _grooved_body(screw: ScrewParameters) -> tuple[int, int]:
     """The profile revolved, from below z = 0 to above z = length, as one volume."""
-    occ = gmsh.model.occ
     pitch, length = screw.pitch * MM, screw.length * MM
     crest, outer = screw.crest_width / 2 * MM, screw.diameter / 2 * MM
     bottom = screw.crest_height * MM

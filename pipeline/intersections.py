@@ -182,14 +182,14 @@ def _unit_normal(a, b, c):
 
 @numba.njit(cache=True)
 def _pierces(p, q, a, b, c, normal, tolerance):
-    """Whether the segment p-q passes through the inside of a triangle, both ends clear of it."""
+    """Whether the segment p-q, its ends clear of the plane, meets a triangle or its edges."""
     hp, hq = _dot(normal, _minus(p, a)), _dot(normal, _minus(q, a))
     if not ((hp > tolerance and hq < -tolerance) or (hp < -tolerance and hq > tolerance)):
         return False
     share = hp / (hp - hq)
     along = _minus(q, p)
     hit = (p[0] + share * along[0], p[1] + share * along[1], p[2] + share * along[2])
-    return _inside(hit, a, b, c, normal, tolerance)
+    return _inside(hit, a, b, c, normal, -tolerance)
 
 
 @numba.njit(cache=True)

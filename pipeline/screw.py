@@ -6,6 +6,7 @@ what ``pipeline.geometry`` builds.
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass, fields
 
@@ -59,6 +60,12 @@ class ScrewParameters:
             depth = self.diameter - self.minor_diameter + 0.1443376 * self.pitch
             object.__setattr__(self, "root_diameter", _micrometre(self.diameter - depth))
         _range("minor_diameter", self.minor_diameter, 0.2 * self.diameter, 0.99 * self.diameter)
+        if self.root_width <= 0.02 * self.pitch:
+            allowed = self.diameter - (0.855 * self.pitch) / math.tan(self.thread_angle / 2)
+            raise ValueError(
+                f"minor_diameter is {self.minor_diameter * 1e3:.6g} mm: the flanks meet above it; "
+                f"allowed for this pitch and thread_angle is {allowed * 1e3:.6g} mm or more."
+            )
         # deeper than a half circle the root would undercut the flank
         deepest = self.minor_diameter - self.root_width
         _range(
@@ -67,12 +74,6 @@ class ScrewParameters:
             max(deepest, 0.1 * self.diameter),
             self.minor_diameter,
         )
-        if self.root_width <= 0.02 * self.pitch:
-            allowed = self.diameter - (0.855 * self.pitch) / math.tan(self.thread_angle / 2)
-            raise ValueError(
-                f"minor_diameter is {self.minor_diameter * 1e3:.6g} mm: the flanks meet above it; "
-                f"allowed for this pitch and thread_angle is {allowed * 1e3:.6g} mm or more."
-            )
         _range("slot_width", self.slot_width, 0.0, 0.8 * self.root_diameter)
         _range("slot_depth", self.slot_depth, 0.0, 0.8 * self.length)
         if (self.slot_width == 0.0) != (self.slot_depth == 0.0):
@@ -135,27 +136,38 @@ class ScrewParameters:
             root = self.root_diameter / 2 + self.root_radius - sagitta
         return np.where(distance < flank_end, flank, root)
 
-    @property
+    @functools.cached_property
     def crest_height(self) -> float:
-        """z (m) of the middle of a crest at angle 0, chosen so that no plane end makes tiny faces.
+        """z (m) of the middle of a crest at angle 0, where plane cuts leave no tiny faces.
 
-        Helical: P/8 below the floor of the slot, which then cuts the thread through its flanks.
-        Grooves: where the end planes and the floor stay furthest from the edges of the profile.
+        Helical: the edges of the profile meet the planes of the slot's floor and mouth as far as
+        can be from the slot's walls. Grooves: they stay far from the end planes and the floor.
         """
         floor = self.length - self.slot_depth
-        if self.thread != "grooves":
-            return floor - self.pitch / 8
         crests = floor - (np.arange(400) + 0.5) / 400 * self.pitch
-        axial = np.array([[0.0], [floor], [self.length]]) - crests
-        return float(crests[int(np.argmax(self.edge_distance(axial).min(axis=0)))])
+        if self.thread == "helical" and not self.has_slot:
+            return floor - self.pitch / 8
+        clearance = np.full(crests.shape, np.inf)
+        for offset, radius in self.edges:
+            if self.thread == "helical":
+                wall = math.asin(self.slot_width / 2 / radius)
+                angles = np.array([wall, -wall, math.pi + wall, math.pi - wall])
+                levels = np.array([[floor], [self.length]]) - self.pitch * angles / (2 * math.pi)
+            else:
+                levels = np.array([0.0, floor, self.length])
+            gap = levels.reshape(-1, 1) - crests - offset
+            gap = np.abs(np.mod(gap + self.pitch / 2, self.pitch) - self.pitch / 2)
+            clearance = np.minimum(clearance, gap.min(axis=0))
+        return float(crests[int(np.argmax(clearance))])
 
-    def edge_distance(self, axial: np.ndarray) -> np.ndarray:
-        """Axial distance (m) from the nearest edge of the profile or the bottom of the root."""
-        axial = np.asarray(axial, dtype=float)
-        distance = np.abs(np.mod(axial + self.pitch / 2, self.pitch) - self.pitch / 2)
+    @property
+    def edges(self) -> list[tuple[float, float]]:
+        """Edges of the profile and the bottom of its root: axial distance from a crest, radius."""
         crest = self.crest_width / 2
-        edges = np.array([crest, crest + self.flank_width, self.pitch / 2])
-        return np.abs(distance[..., None] - edges).min(axis=-1)
+        flank = crest + self.flank_width
+        outer, minor, root = self.diameter / 2, self.minor_diameter / 2, self.root_diameter / 2
+        sides = [(crest, outer), (-crest, outer), (flank, minor), (-flank, minor)]
+        return [*sides, (self.pitch / 2, root)]
 
     def surface_radius(self, angle: np.ndarray, height: np.ndarray) -> np.ndarray:
         """Radius (m) of the threaded surface at an angle (rad) about the axis and a z (m)."""

@@ -92,6 +92,22 @@ def _quantile(values: np.ndarray, share: float) -> float:
     return float(np.sort(values)[int(share * len(values))])
 
 
+def solid_of_surface(name: str, points: np.ndarray, triangles: np.ndarray) -> Solid:
+    """The solid inside a checked surface; volume and area are those of the triangles."""
+    volume, area = surface_volume_and_area(points, triangles)
+    return Solid(
+        name=name,
+        volume=volume,
+        area=area,
+        reference_volume=volume,
+        reference_area=area,
+        bounding_box=bounding_box(points),
+        smallest_feature=smallest_feature(points, triangles),
+        points=points,
+        triangles=triangles,
+    )
+
+
 def check_surface(points: np.ndarray, triangles: np.ndarray, name: str) -> None:
     """Refuse a surface that does not bound one solid; ValueError says in one sentence why.
 

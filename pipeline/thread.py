@@ -119,7 +119,9 @@ def seam_angle(screw: ScrewParameters) -> float:
     clearance = np.full(candidates.shape, np.inf)
     for height in (0.0, screw.length, screw.length - screw.slot_depth):
         axial = height - screw.crest_height - screw.pitch * candidates / (2 * math.pi)
-        clearance = np.minimum(clearance, screw.edge_distance(axial))
+        for offset, _ in screw.edges:
+            gap = np.mod(axial - offset + screw.pitch / 2, screw.pitch) - screw.pitch / 2
+            clearance = np.minimum(clearance, np.abs(gap))
     # and away from the walls of the slot
     radius = screw.root_diameter / 2
     wall = np.abs(np.abs(np.sin(candidates)) * radius - screw.slot_width / 2)
