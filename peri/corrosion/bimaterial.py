@@ -27,7 +27,7 @@ log = logging.getLogger(__name__)
 
 _MAXIMUM_ROUNDS = 60
 _LOSS_TOLERANCE = 1e-9
-_ROUND_REDUCTION = 1e-9
+_ROUND_REDUCTION = 0.1
 
 
 class BoundsError(ArithmeticError):
@@ -111,15 +111,22 @@ class BiMaterial:
         padded = [
             slice(w.start + r, w.stop + r) for w, r in zip(window, self.sum.reach, strict=True)
         ]
-        self._window = tuple(padded)
+        self.window = tuple(padded)
         shape = tuple(w.stop - w.start for w in window)[3 - self.sum.stencil.dimension :]
         self.box = NonlocalSum(
             self.sum.stencil, shape, processes=self.processes, window=tuple(window)
         )
 
-    def _take(self, values: np.ndarray) -> np.ndarray:
+    def take(self, values: np.ndarray) -> np.ndarray:
+        """The box's part of a padded field, padded itself."""
         out = np.zeros(self.box.padded_shape)
-        out[self.box.interior] = values[self._window]
+        out[self.box.interior] = values[self.window]
+        return out
+
+    def put(self, values: np.ndarray) -> np.ndarray:
+        """A padded field that is zero but for the box's padded values."""
+        out = np.zeros(self.sum.padded_shape)
+        out[self.window] = values[self.box.interior]
         return out
 
     def update_phase(self) -> None:
@@ -130,10 +137,10 @@ class BiMaterial:
         self.neighbour_liquid = self.sum(self.liquid_volume)
         self._system = None
         if self.box is not None:
-            self.box_metal = self._take(self.metal) > 0
-            self.box_metal_volume = self._take(np.where(self.metal, self.capacity, 0.0))
-            self.box_liquid_volume = self._take(self.liquid_volume)
-            self.box_free_volume = self._take(np.where(self.free, self.capacity, 0.0))
+            self.box_metal = self.take(self.metal) > 0
+            self.box_metal_volume = self.take(np.where(self.metal, self.capacity, 0.0))
+            self.box_liquid_volume = self.take(self.liquid_volume)
+            self.box_free_volume = self.take(np.where(self.free, self.capacity, 0.0))
 
     def dissolve(self, concentration: np.ndarray) -> int:
         """Turn metal nodes below C_sat into liquid; returns how many."""
@@ -173,7 +180,7 @@ class BiMaterial:
         if self.box is not None:
             g = self.base_diffusivity * self.scene.kinetics.factor(0.0)
             to_metal = np.where(self.box_free_volume > 0, self.box(self.box_metal_volume), 0.0)
-            both = to_metal * g + self._take(np.where(self.free, liquid, 0.0))
+            both = to_metal * g + self.take(np.where(self.free, liquid, 0.0))
             from_metal = np.where(self.box_metal, g * self.box(self.box_liquid_volume), 0.0)
             rate = max(rate, float(both.max()), float(from_metal.max()))
         return self.processes.largest(rate)
@@ -185,10 +192,8 @@ class BiMaterial:
         """
         if self.box is None:
             return np.zeros(self.scene.lattice.shape)
-        full = np.zeros(self.sum.padded_shape)
         rates = self.base_diffusivity * self.box(self.box_liquid_volume)
-        full[self._window] = np.where(self.box_metal, rates, 0.0)[self.box.interior]
-        return self.sum.crop(full)
+        return self.sum.crop(self.put(np.where(self.box_metal, rates, 0.0)))
 
     # --- implicit stage -------------------------------------------------------------------
 
@@ -232,19 +237,19 @@ class BiMaterial:
             active = (theta < 1.0) & (self.box_free_volume > 0)
         total_iterations, settled = 0, False
         for rounds in range(1, _MAXIMUM_ROUNDS + 1):
-            volume_loss = self._settle_rate(state, theta, volume_loss, self._take(y))
-            view = y[self._window]
+            volume_loss = self._settle_rate(state, theta, volume_loss, self.take(y))
+            view = y[self.window]
             view[active[self.box.interior]] = saturated
             iterations, solved = self._solve_liquid(y, old, tau, state, active)
             total_iterations += iterations
-            metal = state.metal_concentration(self._take(y))
+            metal = state.metal_concentration(self.take(y))
             loss = self._loss_of(metal)
             settled = solved and abs(loss - volume_loss) <= _LOSS_TOLERANCE
             volume_loss = loss
             if complementary:
                 needed, available = self._interface_balance(y, old, tau, state, metal, active)
                 new_active, new_theta = saturation.next_active_set(
-                    active, self._take(y), needed, available, saturated
+                    active, self.take(y), needed, available, saturated
                 )
                 new_theta = np.where(self.box_liquid_volume > 0, new_theta, 0.0)
                 mismatch = tau * self.processes.total(
@@ -271,10 +276,48 @@ class BiMaterial:
             metal = state.correct(metal, np.where(active, new_theta - theta, 0.0), saturated)
             volume_loss, theta = self._loss_of(metal), new_theta
         result = np.where(self.free, y, 0.0)
-        view = result[self._window]
+        view = result[self.window]
         view[self.box_metal[self.box.interior]] = metal[self.box_metal]
         release = self._release_rate(y, state, metal)
         return Stage(result, theta, volume_loss, release, total_iterations, rounds)
+
+    def explicit_step(
+        self, old: np.ndarray, step: float, volume_loss: float
+    ) -> tuple[np.ndarray, float, np.ndarray | None]:
+        """One forward Euler step (Eq. 3.10): new concentration, release rate (mol/s), theta.
+
+        Conservative and within the bounds up to the step 1 / fastest_rate(); under
+        complementarity theta_j lets in just what brings node j to C_sat.
+        """
+        scene = self.scene
+        liquid = np.where(self.metal, 0.0, old)
+        gain = self.sum(self.liquid_volume * liquid)
+        transport = scene.liquid_diffusivity * (gain - self.neighbour_liquid * liquid)
+        new = np.where(self.free, old + step * transport, 0.0)
+        theta, metal, state = None, None, None
+        if self.box is not None:
+            state = _Interface(self, old, np.inf)
+            if scene.saturation == "as_published":
+                full = self.free & (old >= scene.saturation_concentration)
+                state.switch_off(np.where(full, self.capacity, 0.0))
+            rate = self.base_diffusivity * scene.kinetics.factor(volume_loss)
+            theta = (self.box_liquid_volume > 0).astype(float)
+            box_liquid = self.take(liquid)
+            seen = self.box(self.box_metal_volume * state.on * state.old_metal)
+            inflow = step * rate * (seen - state.seen_metal * box_liquid)
+            inflow = np.where(self.box_free_volume > 0, inflow, 0.0)
+            if scene.saturation == "complementarity":
+                room = np.maximum(scene.saturation_concentration - self.take(new), 0.0)
+                full = inflow > room
+                theta[full] = room[full] / inflow[full]
+            state.set(theta, rate)
+            new[self.window] += (theta * inflow)[self.box.interior]
+            drawn = rate * state.on * self.box(state.bonds * box_liquid)
+            metal = state.old_metal + step * (drawn - state.outflow * state.old_metal)
+            view = new[self.window]
+            view[self.box_metal[self.box.interior]] = metal[self.box_metal]
+            metal = state.old_metal
+        return new, self._release_rate(liquid, state, metal), theta
 
     def _settle_rate(self, state, theta, volume_loss, liquid) -> float:
         """Fix point of loss -> kinetics -> metal -> loss for given liquid concentrations."""
@@ -309,7 +352,7 @@ class BiMaterial:
         d = self.scene.liquid_diffusivity
         held = np.zeros(self.sum.padded_shape, bool)
         if active is not None and active.any():
-            held[self._window] = active[self.box.interior]
+            held[self.window] = active[self.box.interior]
         weight = np.where(self.free & ~held, self.capacity, 0.0)
         system = self._linear_system(weight, tau, state, active)
         gain = np.zeros(self.sum.padded_shape)
@@ -317,10 +360,10 @@ class BiMaterial:
         r = weight * ((old - y) / tau + d * (gain - self.neighbour_liquid * y))
         scale = self._norm(weight * old) / tau
         if state is not None:
-            source = state.liquid_gain(self._take(y))
+            source = state.liquid_gain(self.take(y))
             scale += self._norm(source)
-            source *= self._take(weight > 0)
-            r[self._window] += source[self.box.interior]
+            source *= self.take(weight > 0)
+            r[self.window] += source[self.box.interior]
         wanted = self.tolerance * scale
         enough = wanted
         if active is not None and self.processes.any(active.any()):
@@ -340,7 +383,7 @@ class BiMaterial:
             if state is not None:
                 extra_diagonal = np.zeros(self.sum.padded_shape)
                 own = state.theta * self.box_free_volume * state.rate * state.seen_metal
-                extra_diagonal[self._window] = own[self.box.interior]
+                extra_diagonal[self.window] = own[self.box.interior]
                 extra_diagonal *= weight > 0
                 sink = sink + extra_diagonal * state.storage_share
             self._system = DiffusionSystem(
@@ -352,13 +395,13 @@ class BiMaterial:
 
     def _coupling(self, state, weight):
         """The metal's share of the liquid's matrix (it is eliminated), as an in-place update."""
-        unknown = self._take(weight)
+        unknown = self.take(weight)
 
         def add(u, y):
-            box_u = np.where(unknown > 0, self._take(u), 0.0)
+            box_u = np.where(unknown > 0, self.take(u), 0.0)
             through = state.through_metal(box_u)
             share = state.theta * unknown * state.rate * (state.seen_metal * box_u - through)
-            y[self._window] += share[self.box.interior]
+            y[self.window] += share[self.box.interior]
             return float(kernels.inner_product(share, box_u).sum())
 
         return add
@@ -370,7 +413,7 @@ class BiMaterial:
         available = self.box_free_volume * state.rate * (seen - state.seen_metal * saturated)
         gain = self.sum(self.liquid_volume * y)
         needed = self.capacity * ((y - old) / tau - d * (gain - self.neighbour_liquid * y))
-        return np.where(active, self._take(needed), 0.0), np.maximum(available, 0.0)
+        return np.where(active, self.take(needed), 0.0), np.maximum(available, 0.0)
 
     def _release_rate(self, y, state, metal) -> float:
         """Amount that reaches the refreshed nodes per second, mol/s."""
@@ -380,7 +423,7 @@ class BiMaterial:
         rate = self.scene.liquid_diffusivity * float((gain * self.capacity)[self.fixed].sum())
         if state is not None:
             seen = self.box(self.box_metal_volume * metal * state.on) * state.rate
-            fixed = self._take(np.where(self.fixed, self.capacity, 0.0))
+            fixed = self.take(np.where(self.fixed, self.capacity, 0.0))
             rate += float((seen * fixed).sum())
         return self.processes.total(rate) * self.scene.lattice.cell_volume
 
@@ -390,14 +433,14 @@ class _Interface:
 
     def __init__(self, problem: BiMaterial, old: np.ndarray, tau: float) -> None:
         self.p, self.tau = problem, tau
-        self.old_metal = problem._take(old)
+        self.old_metal = problem.take(old)
         self.on = problem.box_metal.astype(float)
         self.seen_metal = problem.box(problem.box_metal_volume)
 
     def switch_off(self, saturated_volume: np.ndarray) -> None:
         """Algorithm 1: no exchange for metal nodes that see saturated liquid."""
         p = self.p
-        neighbours = p.box(p._take(saturated_volume))
+        neighbours = p.box(p.take(saturated_volume))
         self.on = saturation.published_switch(neighbours, p.box_metal).astype(float)
         self.seen_metal = p.box(p.box_metal_volume * self.on)
 
@@ -407,9 +450,11 @@ class _Interface:
         self.theta, self.rate = theta, rate
         self.bonds = theta * p.box_liquid_volume
         self.outflow = rate * self.on * p.box(self.bonds)
-        self.response = self.on / (1.0 / self.tau + self.outflow)
+        decay = 1.0 / self.tau + self.outflow
+        self.response = np.divide(self.on, decay, out=np.zeros_like(decay), where=decay > 0)
         metal = p.box_metal
-        stored = (1.0 / self.tau) / (1.0 / self.tau + self.outflow[metal])
+        decay = 1.0 / self.tau + self.outflow[metal]
+        stored = np.divide(1.0 / self.tau, decay, out=np.ones_like(decay), where=decay > 0)
         count = p.processes.total(stored.size)
         self.storage_share = p.processes.total(float(stored.sum())) / count if count else 1.0
 

@@ -66,7 +66,7 @@ def liquid_bound(scene: CorrosionScene) -> np.ndarray:
         return unbounded
     seen = problem.box(problem.box_metal_volume)
     inflow = np.zeros(problem.sum.padded_shape)
-    inflow[problem._window] = (
+    inflow[problem.window] = (
         problem.box_free_volume * rate * scene.solid_concentration * seen
     )[problem.box.interior]
     weight = np.where(problem.free, problem.capacity, 0.0)
