@@ -6,8 +6,8 @@ gets that file's source and kind; one that does not is reported as set by hand.
 
 import logging
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
 
 import perilife_data
 from fem.constitutive.hardening import fit_voce
@@ -50,9 +50,13 @@ _LENGTHS = (
 
 @dataclass(frozen=True)
 class ParameterRow:
-    """One number of a run with its unit and its origin, ready to be shown."""
+    """One number of a run with its unit and its origin, ready to be shown.
 
-    group: str
+    alloy: the alloy that it belongs to, empty for what holds for the whole run.
+    """
+
+    section: str
+    alloy: str
     name: str
     symbol: str
     value: str
@@ -64,14 +68,12 @@ class ParameterRow:
 
 
 def parameter_rows(scene: Scene) -> list[ParameterRow]:
-    """Every parameter of the run: first those of each alloy, then the settings."""
+    """Every parameter of the run that has a source: those of each alloy, then of the fit."""
     rows: list[ParameterRow] = []
     for alloy in scene.alloys:
         rows += _corrosion_rows(scene, alloy)
         rows += _mechanical_rows(alloy)
-    rows += _calibration_rows(scene)
-    rows += _setting_rows(scene)
-    return rows
+    return rows + _calibration_rows(scene)
 
 
 def to_be_listed(rows: Iterable[ParameterRow]) -> list[ParameterRow]:
@@ -93,14 +95,14 @@ def references(rows: Iterable[ParameterRow]) -> dict[str, str]:
 
 def kinds_explained() -> Mapping[str, str]:
     """What each kind of value means."""
-    return {**perilife_data.KINDS, "setting": "a choice of this run", **_BY_HAND}
+    return {**perilife_data.KINDS, **_BY_HAND}
 
 
 _BY_HAND = {"set by hand": "not the value of the data file that the run names"}
 
 
 def _corrosion_rows(scene: Scene, alloy: AlloyScene) -> list[ParameterRow]:
-    group = f"{alloy.name}, corrosion"
+    place = ("Corrosion", alloy.name)
     known, corrected = _fitted_quantities(scene, alloy)
     rows = []
     for item in fields(alloy.corrosion):
@@ -110,7 +112,7 @@ def _corrosion_rows(scene: Scene, alloy: AlloyScene) -> list[ParameterRow]:
         remark = ""
         if item.name == "solid_concentration" and corrected:
             remark = f"from the composition: {corrected:,.0f} mol/m^3".replace(",", " ")
-        rows.append(_row(group, item.name, value, known.get(item.name), remark))
+        rows.append(_row(place, item.name, value, known.get(item.name), remark))
     return rows
 
 
@@ -138,11 +140,11 @@ def _alloy_record(alloy: AlloyScene) -> perilife_data.Alloy | None:
 
 
 def _mechanical_rows(alloy: AlloyScene) -> list[ParameterRow]:
-    group = f"{alloy.name}, mechanics"
+    place = ("Mechanics", alloy.name)
     material, record = alloy.material, _alloy_record(alloy)
     known = record.quantities() if record else {}
     rows = [
-        _row(group, name, getattr(material, name), known.get(name))
+        _row(place, name, getattr(material, name), known.get(name))
         for name in ("young_modulus", "poisson_ratio", "q1")
     ]
     hardening = (
@@ -156,10 +158,10 @@ def _mechanical_rows(alloy: AlloyScene) -> list[ParameterRow]:
         fit = fit_voce(*(known[name].si for name in inputs))
         derived = all(_same(a, b) for a, b in zip(hardening, (fit.s0, fit.Q, fit.b), strict=True))
     if derived:
-        rows += [_row(group, name, known[name].si, known[name]) for name in inputs]
+        rows += [_row(place, name, known[name].si, known[name]) for name in inputs]
     names = ("initial_yield_stress", "hardening_capacity", "hardening_rate")
     for name, value in zip(names, hardening, strict=True):
-        row = _row(group, name, value, None)
+        row = _row(place, name, value, None)
         if derived:
             remark = "Voce curve through yield stress, strength and uniform strain"
             row = ParameterRow(**{**vars(row), "kind": "derived", "remark": remark})
@@ -173,11 +175,12 @@ def _calibration_rows(scene: Scene) -> list[ParameterRow]:
         calibration = perilife_data.load_parameter_set(scene.parameter_set).scene
     except (ValueError, OSError):
         return []
-    group = f"Scene that '{scene.parameter_set}' was fitted in"
-    return [_row(group, name, q.si, q) for name, q in calibration.quantities().items()]
+    place = (f"Scene of the fit “{scene.parameter_set}”", "")
+    return [_row(place, name, q.si, q) for name, q in calibration.quantities().items()]
 
 
-def _setting_rows(scene: Scene) -> list[ParameterRow]:
+def settings(scene: Scene) -> dict[str, list[tuple[str, str]]]:
+    """The choices of a run by group: name and value with its unit, as a person reads them."""
     groups = {
         "Geometry": getattr(scene.geometry, "parameters", scene.geometry),
         "Lattice": scene.lattice,
@@ -186,26 +189,71 @@ def _setting_rows(scene: Scene) -> list[ParameterRow]:
         "Mesh": scene.mesh,
         "Tensile test": scene.tensile,
     }
-    rows = []
-    for group, settings in groups.items():
-        for item in fields(settings) if is_dataclass(settings) else ():
-            value = getattr(settings, item.name)
-            if value is None or item.name == "sha256":
-                continue
-            text, unit = _shown(item.name, value)
-            rows.append(ParameterRow(group, _title(item.name), "", text, unit, "setting"))
-    return rows
+    found = {}
+    for group, choices in groups.items():
+        values = {item.name: getattr(choices, item.name) for item in fields(choices)}
+        found[group] = [
+            (_title(name), " ".join(filter(None, _shown(name, value))))
+            for name, value in values.items()
+            if value is not None and name != "sha256"
+        ]
+    return found
+
+
+@dataclass(frozen=True)
+class ComparedRow:
+    """One parameter with its value for each alloy, or one value for all."""
+
+    values: tuple[str, ...]
+    name: str
+    symbol: str
+    unit: str
+    kind: str
+    source: str
+    where: str
+    remark: str
+
+
+def side_by_side(
+    rows: Iterable[ParameterRow], alloys: Sequence[str]
+) -> dict[str, list[ComparedRow]]:
+    """The rows by section, with those that differ only in alloy, value and remark joined."""
+    joined: dict[tuple, dict[str, ParameterRow]] = {}
+    for row in rows:
+        key = (row.section, row.name, row.symbol, row.unit, row.kind, row.source, row.where)
+        joined.setdefault(key, {})[row.alloy] = row
+    found: dict[str, list[ComparedRow]] = {}
+    for (section, *same), by_alloy in joined.items():
+        name, symbol, unit, kind, source, where = same
+        if "" in by_alloy:
+            values = (by_alloy[""].value,)
+        else:
+            values = tuple(by_alloy[a].value if a in by_alloy else "–" for a in alloys)
+        remarks = {row.remark for row in by_alloy.values()}
+        remark = remarks.pop() if len(remarks) == 1 else _remarks(by_alloy)
+        found.setdefault(section, []).append(
+            ComparedRow(values, name, symbol, unit, kind, source, where, remark)
+        )
+    return found
+
+
+def _remarks(by_alloy: Mapping[str, ParameterRow]) -> str:
+    """What differs in the remarks by alloy, then what they share."""
+    parts = {alloy: row.remark.split("; ") for alloy, row in by_alloy.items()}
+    shared = [p for p in next(iter(parts.values())) if all(p in other for other in parts.values())]
+    own = {a: "; ".join(p for p in several if p not in shared) for a, several in parts.items()}
+    return "; ".join([*(f"{a}: {text}" for a, text in own.items() if text), *shared])
 
 
 def _row(
-    group: str, name: str, value: float, known: Quantity | None, remark: str = ""
+    place: tuple[str, str], name: str, value: float, known: Quantity | None, remark: str = ""
 ) -> ParameterRow:
     """A row with the quantity's provenance where the number is that of the quantity."""
     title, symbol = _title(name), SYMBOLS.get(name, "")
     if known is not None and _same(value, known.si):
         notes = [remark, known.conditions, known.note]
         return ParameterRow(
-            group,
+            *place,
             title,
             symbol,
             f"{known.value:g}",
@@ -218,7 +266,7 @@ def _row(
     text, unit = _shown(name, value)
     if known is not None:
         remark = f"the data file has {known} ({known.source}, {known.where})"
-    return ParameterRow(group, title, symbol, text, unit, "set by hand", remark=remark)
+    return ParameterRow(*place, title, symbol, text, unit, "set by hand", remark=remark)
 
 
 def _shown(name: str, value: object) -> tuple[str, str]:

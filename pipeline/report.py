@@ -69,6 +69,8 @@ def write_report(run_folder: Path | str) -> Path:
     run = read_run(run_folder)
     rows = provenance.parameter_rows(run.scene)
     pictures = make_pictures(run)
+    assumed = provenance.to_be_listed(rows)
+    names = [alloy.name for alloy in run.alloys]
     measured, measured_trouble = _measured(run)
     trouble = [*measured_trouble]
     if pictures.trouble:
@@ -85,7 +87,7 @@ def write_report(run_folder: Path | str) -> Path:
     )
     environment.filters.update(symbol=_symbol, unit=_unit)
     page = environment.get_template("report.html.j2").render(
-        title=" and ".join(a.name for a in run.alloys),
+        title=" and ".join(names),
         solid=_solid_in_words(run),
         headlines=[headline(alloy) for alloy in run.alloys],
         parameter_set=_parameter_set(run),
@@ -99,8 +101,11 @@ def write_report(run_folder: Path | str) -> Path:
         error_estimate=doubts.error_estimate(run),
         twice_as_sure=doubts.twice_as_sure(run),
         omissions=doubts.omissions(run),
-        assumptions=provenance.to_be_listed(rows),
-        parameters=_grouped(rows),
+        alloys=names,
+        assumed_count=len(assumed),
+        assumptions=provenance.side_by_side(assumed, names),
+        parameters=provenance.side_by_side(rows, names),
+        settings=provenance.settings(run.scene),
         kinds=[(k, v) for k, v in provenance.kinds_explained().items() if _has(rows, k)],
         solid_rows=_solid_rows(run),
         stages=_stage_times(run),
@@ -249,13 +254,6 @@ def _plots(run: RunResults, measured: dict) -> dict[str, object]:
 
 
 # ---------------------------------------------------------------- what it was made with
-
-
-def _grouped(rows: list[provenance.ParameterRow]) -> list[tuple[str, list]]:
-    groups: dict[str, list] = {}
-    for row in rows:
-        groups.setdefault(row.group, []).append(row)
-    return list(groups.items())
 
 
 def _has(rows: list[provenance.ParameterRow], kind: str) -> bool:

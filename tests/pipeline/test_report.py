@@ -220,6 +220,7 @@ def test_every_assumed_value_and_only_used_sources_are_listed(full):
     assert {row.kind for row in listed} == {"assumed", "fitted", "published_uncorrected"}
     names = [row.name for row in listed]
     assert names.count("Yield stress") == 2 and names.count("Interface diffusivity") == 2
+    assert f"These {len(listed)} values" in page.sections["assumed"]
     for row in listed:
         assert row.value in page.sections["assumed"] and row.source and row.where
     sources = {row.source for row in rows if row.source}
@@ -249,6 +250,17 @@ def test_a_value_set_by_hand_is_not_given_a_source():
     row = next(row for row in by_hand if row.name == "Interface diffusivity")
     assert (row.kind, row.source, row.value) == ("set by hand", "", "1e-15")
     assert "2.8779e-15" in row.remark
+
+
+def test_values_of_the_alloys_stand_side_by_side():
+    row = provenance.ParameterRow("S", "A", "n", "", "1", "m", "fitted", "key", "Table 1", "x; low")
+    other = replace(row, alloy="B", value="2", remark="x; high")
+    alone = replace(row, alloy="B", kind="set by hand", value="3")
+    whole = replace(row, section="T", alloy="", remark="y")
+    found = provenance.side_by_side([row, other, alone, whole], ["A", "B"])
+    assert [r.values for r in found["S"]] == [("1", "2"), ("–", "3")]
+    assert found["S"][0].remark == "A: low; B: high; x"
+    assert found["T"][0].values == ("1",) and found["T"][0].remark == "y"
 
 
 def test_missing_parts_are_said(tmp_path, mesh):
