@@ -207,7 +207,7 @@ def _pull(options: argparse.Namespace) -> int:
 def _report(options: argparse.Namespace) -> int:
     def action(cycle, alloys, times):
         _print_summary(cycle.summarise())
-        cycle.report()
+        cycle.report(again=True)
 
     return _stages(options, action)
 

@@ -197,14 +197,18 @@ class LifeCycle:
         write_summary(self.folder.summary_file, rows)
         return rows
 
-    def report(self) -> StageRecord:
-        """The report in one HTML file."""
+    def report(self, again: bool = False) -> StageRecord:
+        """The report in one HTML file; made again when a stage was, or when asked to."""
         from pipeline.report import write_report
 
         def work() -> Outcome:
             return [Path(write_report(self.folder.path))], {}
 
-        inputs = content_hash("report", self.scene.to_json(), utc_now())
+        if again:
+            self.folder.forget(self.folder.path, "report")
+        stages = sorted(path for path in self.folder.path.rglob("*.stage.json"))
+        made = [path.read_text() for path in stages if path.name != "report.stage.json"]
+        inputs = content_hash("report", self.scene.to_json(), made)
         return self._do("report", "report", self.folder.path, inputs, work)
 
     def _pulled(self, alloy: str, moment: ImmersionTime) -> dict:

@@ -8,10 +8,10 @@ appear under a temporary name and are renamed, so that none is ever half-written
 import fcntl
 import json
 import os
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 
 SCENE_FILE = "scene.json"
@@ -150,5 +150,5 @@ def write_json(path: Path, content: object) -> None:
 
 
 def utc_now() -> str:
-    """The present in UTC, ISO 8601 to the second."""
-    return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+    """The present in UTC, ISO 8601 to the microsecond."""
+    return datetime.now(UTC).isoformat(timespec="microseconds")

@@ -142,6 +142,7 @@ def _write_result(out: Path, result: object) -> None:
             "status": result.status,
             "length": float(result.length),
             "increments": len(strain) - 1,
+            "processor_seconds": time.process_time(),
             **{name: int(getattr(result, name)) for name in counts},
             "cost": {name: float(value) for name, value in result.cost.items()},
         },

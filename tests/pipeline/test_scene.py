@@ -130,7 +130,10 @@ def test_unknown_missing_and_mistyped_fields_are_named(scene):
     [
         (lambda: dataclasses.replace(_alloy().material, poisson_ratio=0.5), "Poisson ratio is 0.5"),
         (lambda: dataclasses.replace(_alloy().material, young_modulus=-1.0), "Young modulus is -1"),
-        (lambda: dataclasses.replace(_alloy().corrosion, liquid_diffusivity=float("nan")), "liquid"),
+        (
+            lambda: dataclasses.replace(_alloy().corrosion, liquid_diffusivity=float("nan")),
+            "liquid",
+        ),
         (lambda: dataclasses.replace(_alloy().corrosion, saturation_concentration=7e4), "below"),
         (lambda: LatticeSettings(100e-6, 50e-6), "horizon is 50 um"),
         (lambda: LatticeSettings(10e-6, 200e-6), "horizon is 200 um"),

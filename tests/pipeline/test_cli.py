@@ -1,0 +1,312 @@
+"""The command line: each refusal is one sentence, exit code 2, and leaves nothing behind."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+import perilife_data
+from pipeline import machine
+from pipeline.bench import BENCHMARKS, Benchmark, Result
+from pipeline.cli import main, sentence
+from pipeline.opening import open_run
+from pipeline.options import add_scene_options, scene_from_options
+from pipeline.run_folder import RunFolder
+
+PIN = ["--thread", "none"]  # a plain pin: its solid takes a tenth of a second
+COARSE = ["--spacing", "300um", "--horizon", "600um", "--radial-margin", "1mm"]
+COARSE += ["--axial-margin", "1mm"]  # 300 um against the smallest feature, the slot of 500 um
+SCENE = ["--alloy", "Mg-5Gd", "--immersion", "0w", "8w", *PIN]
+
+
+def _refused(capsys, arguments: list[str], *words: str) -> str:
+    """Run the command, check that it refuses in one sentence with these words, return it."""
+    assert main(arguments) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    message = captured.err
+    assert message.startswith("perilife: ")
+    assert message.endswith(".\n")
+    assert message.count("\n") == 1, message
+    assert "Traceback" not in message
+    for word in words:
+        assert word in message, message
+    return message
+
+
+def _changed(*changes: str) -> list[str]:
+    return [*SCENE, *changes]
+
+
+@pytest.mark.parametrize(
+    "scene, words",
+    [
+        (["--alloy", "Mg-7Gd", "--immersion", "8w"], ["Mg-7Gd", "Mg-5Gd", "Mg-10Gd"]),
+        (["--alloy", "Mg-5Gd", "Mg-5Gd", "--immersion", "8w"], ["Mg-5Gd", "without repetition"]),
+        (["--alloy", "Mg-5Gd", "--immersion=-1w"], ["-1w", "at least 0"]),
+        (["--alloy", "Mg-5Gd", "--immersion", "8w", "1w"], ["1w", "8w", "must rise"]),
+        (["--alloy", "Mg-5Gd", "--immersion", "7d", "1w"], ["7d", "1w", "same time"]),
+        (["--alloy", "Mg-5Gd", "--immersion", "8 months"], ["8 months", "unit out of s, min"]),
+        (["--alloy", "Mg-5Gd", "--immersion", "8"], ["'8'", "unit"]),
+        (["--alloy", "absent.toml", "--immersion", "8w"], ["absent.toml", "no such file"]),
+        (_changed("--resolution", "medium"), ["medium", "quick, standard, fine"]),
+        (_changed("--parameters", "table-9"), ["table-9", "table-5.1"]),
+        (_changed("--saturation", "maybe"), ["maybe", "complementarity"]),
+        (_changed(*COARSE), ["300 um", "at most 250 um"]),
+        (_changed("--spacing", "100"), ["spacing '100'", "100um"]),
+        (_changed("--spacing", "100furlong"), ["100furlong", "m, cm, mm, um, inch"]),
+        (_changed("--horizon", "50um"), ["horizon is 50 um", "1 to 8"]),
+        (_changed("--radial-margin", "100um"), ["radial margin is 100 um", "300 um"]),
+        (_changed("--step", "0s"), ["step is 0.0", "above 0"]),
+        (_changed("--rate-change", "2"), ["rate change is 2.0"]),
+        (_changed("--diameter=-2mm"), ["diameter", "-2"]),
+        (_changed("--slot-width", "3mm"), ["slot", "3"]),
+        (_changed("--thread", "left"), ["'left'", "helical"]),
+        (_changed("--final-strain", "0"), ["final strain is 0.0"]),
+        (_changed("--increment", "0.5"), ["increment is 0.5", "0.1"]),
+        (_changed("--element", "Q1"), ["'Q1'", "P2"]),
+        (_changed("--mesh-size", "100um", "--mesh-size-fine", "200um"), ["200 um", "100 um"]),
+        (_changed("--np", "0"), ["--np is 0"]),
+        (_changed("--unit", "mm"), ["--unit", "--solid"]),
+        (_changed("--volume-loss", "mine.csv"), ["mine.csv", "ALLOY=FILE.csv"]),
+        (_changed("--volume-loss", "Mg-5Gd=absent.csv"), ["absent.csv", "no such file"]),
+        (_changed("--frobnicate"), ["--frobnicate"]),
+        (["--immersion", "8w"], ["--alloy"]),
+    ],
+)
+def test_a_scene_that_cannot_be_computed_is_refused(tmp_path, capsys, scene, words):
+    out = tmp_path / "run"
+    _refused(capsys, ["run", "--out", str(out), *scene], *words)
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("command", ["geometry", "plan"])
+def test_other_commands_refuse_the_same_scene(tmp_path, capsys, command):
+    out = tmp_path / "run"
+    folder = [] if command == "plan" else ["--out", str(out)]
+    _refused(capsys, [command, *folder, *_changed(*COARSE)], "300 um", "250 um")
+    assert not out.exists()
+
+
+def _facet(a, b, c) -> str:
+    corners = "".join(f"vertex {x} {y} {z}\n" for x, y, z in (a, b, c))
+    return f"facet normal 0 0 0\nouter loop\n{corners}endloop\nendfacet\n"
+
+
+def _tetrahedron(shift: float = 0.0, open_: bool = False) -> str:
+    p = [(shift + x, y, z) for x, y, z in ((0, 0, 0), (4, 0, 0), (0, 4, 0), (0, 0, 4))]
+    faces = [(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)]
+    return "".join(_facet(*(p[i] for i in face)) for face in faces[: 3 if open_ else 4])
+
+
+def _solid(*parts: str) -> str:
+    return "solid part\n" + "".join(parts) + "endsolid part\n"
+
+
+@pytest.mark.parametrize(
+    "name, text, words",
+    [
+        ("open.stl", _solid(_tetrahedron(open_=True)), ["open.stl"]),
+        ("crossing.stl", _solid(_tetrahedron(), _tetrahedron(shift=1.0)), ["crossing.stl"]),
+        ("empty.stl", "", ["empty.stl"]),
+        ("part.step", "this is no STEP file\n", ["part.step"]),
+        ("part.obj", "v 0 0 0\n", ["part.obj", ".step, .stp, .brep, .stl"]),
+    ],
+)
+def test_a_file_that_bounds_no_solid_is_refused(tmp_path, capsys, name, text, words):
+    path, out = tmp_path / name, tmp_path / "run"
+    path.write_text(text)
+    base = ["run", "--alloy", "Mg-5Gd", "--immersion", "8w", "--out", str(out)]
+    _refused(capsys, [*base, "--solid", str(path)], *words)
+    assert not out.exists()
+
+
+def test_a_missing_file_or_a_wrong_unit_of_a_solid_is_refused(tmp_path, capsys):
+    base = ["run", "--alloy", "Mg-5Gd", "--immersion", "8w", "--out", str(tmp_path / "run")]
+    _refused(capsys, [*base, "--solid", "absent.stl"], "absent.stl", "no such file")
+    (tmp_path / "part.stl").write_text(_solid(_tetrahedron()))
+    part = ["--solid", str(tmp_path / "part.stl")]
+    _refused(capsys, [*base, *part, "--unit", "furlong"], "furlong", "m, cm, mm, um, inch")
+    _refused(capsys, [*base, *part, "--pitch", "0.3mm"], "--pitch", "--solid")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_poisson_ratio_of_one_half_in_an_own_alloy_is_refused(tmp_path, capsys):
+    folder = Path(perilife_data.__file__).parent / "alloys"
+    text = (folder / "mg-5gd.toml").read_text()
+    changed, count = re.subn(r"(\[poisson_ratio\]\s*\nvalue = )\S+", r"\g<1>0.5", text)
+    assert count == 1
+    own = tmp_path / "own.toml"
+    own.write_text(changed)
+    out = tmp_path / "run"
+    arguments = ["run", "--alloy", str(own), "--immersion", "8w", "--out", str(out), *PIN]
+    _refused(capsys, arguments, "poisson_ratio is 0.5", "below 0.5")
+    assert not out.exists()
+
+
+def test_more_memory_than_there_is_is_refused_before_starting(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(machine, "available_memory", lambda: 100_000_000)
+    out = tmp_path / "run"
+    _refused(capsys, ["run", *SCENE, "--out", str(out)], "memory", "100.0 MB are available")
+    assert not out.exists()
+
+
+def test_a_scene_of_absurd_size_is_refused_by_this_machine(tmp_path, capsys):
+    out = tmp_path / "run"
+    huge = ["--spacing", "2um", "--horizon", "4um"]
+    _refused(capsys, ["run", *_changed(*huge), "--out", str(out)], "memory", "available")
+    assert not out.exists()
+
+
+def test_too_little_disk_is_refused_before_starting(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(machine, "free_disk", lambda folder: 1000)
+    out = tmp_path / "run"
+    _refused(capsys, ["run", *SCENE, "--out", str(out)], "disk", "1.0 kB are free")
+    assert not out.exists()
+
+
+def test_a_place_that_cannot_be_written_is_refused(tmp_path, capsys):
+    blocked = tmp_path / "file"
+    blocked.write_text("mine")
+    _refused(capsys, ["run", *SCENE, "--out", str(blocked)], "is a file")
+    _refused(capsys, ["run", *SCENE, "--out", str(blocked / "run")], "is a file")
+    assert blocked.read_text() == "mine"
+    _refused(capsys, ["run", *SCENE, "--out", "/proc/perilife/run"], "/proc")
+
+
+def test_a_folder_with_something_else_in_it_is_left_alone(tmp_path, capsys):
+    (tmp_path / "letter.txt").write_text("dear")
+    run = ["run", *SCENE, "--out", str(tmp_path)]
+    _refused(capsys, run, "not empty", "--resume")
+    _refused(capsys, [*run, "--resume"], "no scene.json")
+    assert [p.name for p in tmp_path.iterdir()] == ["letter.txt"]
+
+
+def _scene(arguments: list[str]):
+    import argparse
+
+    parser = argparse.ArgumentParser()
+    add_scene_options(parser)
+    return scene_from_options(parser.parse_args(arguments))
+
+
+def test_a_run_folder_of_another_scene_is_refused_and_untouched(tmp_path, capsys):
+    out = tmp_path / "run"
+    with open_run(_scene(SCENE), out, resume=False) as (folder, solid):
+        assert solid is not None
+        before = folder.scene_file.read_text()
+    assert sorted(p.name for p in out.iterdir()) == ["scene.json"]
+    _refused(capsys, ["run", *SCENE, "--out", str(out)], "not empty", "--resume")
+    other = ["run", *_changed("--rate-change", "0.2"), "--out", str(out), "--resume"]
+    _refused(capsys, other, "another scene", "corrosion.rate_change is 0.1 there and 0.2 here")
+    assert folder.scene_file.read_text() == before
+
+
+def test_the_same_scene_is_reopened_with_resume(tmp_path):
+    for _ in range(2):
+        with open_run(_scene(SCENE), tmp_path / "run", resume=True) as (folder, _):
+            assert (folder.path / ".lock").exists()
+    assert not (folder.path / ".lock").exists()
+
+
+def test_a_run_folder_in_use_is_refused(tmp_path, capsys):
+    out = tmp_path / "run"
+    with open_run(_scene(SCENE), out, resume=False) as (folder, _):
+        refusal = ["run", *SCENE, "--out", str(out), "--resume"]
+        _refused(capsys, refusal, "in use by process")
+        _refused(capsys, ["corrode", "--out", str(out)], "in use by process")
+        assert folder.scene_file.exists()
+
+
+def test_a_refusal_during_the_first_stage_takes_the_new_folder_away(tmp_path):
+    out = tmp_path / "deep" / "run"
+    with pytest.raises(ValueError, match="no mesh"), open_run(_scene(SCENE), out, False):
+        assert (out / "scene.json").exists()
+        raise ValueError("no mesh")
+    assert not (tmp_path / "deep").exists()
+
+
+def test_a_refusal_after_a_finished_stage_keeps_the_folder(tmp_path):
+    out = tmp_path / "run"
+    with pytest.raises(ValueError), open_run(_scene(SCENE), out, False) as (folder, _):
+        folder.geometry.mkdir()
+        (folder.geometry / "geometry.stage.json").write_text("{}")
+        raise ValueError("later")
+    assert (out / "scene.json").exists()
+
+
+def test_stage_commands_refuse_what_is_no_run_folder(tmp_path, capsys):
+    for stage in ("corrode", "map", "pull", "report"):
+        _refused(capsys, [stage, "--out", str(tmp_path / "absent")], "does not exist")
+        _refused(capsys, [stage, "--out", str(tmp_path)], "no scene.json")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_stage_commands_ask_for_the_stage_before_them(tmp_path, capsys):
+    out = tmp_path / "run"
+    with open_run(_scene(SCENE), out, resume=False):
+        pass
+    _refused(capsys, ["corrode", "--out", str(out)], "`perilife geometry`")
+    _refused(capsys, ["corrode", "--out", str(out), "--alloy", "Mg-10Gd"], "Mg-10Gd", "has Mg-5Gd")
+    _refused(capsys, ["map", "--out", str(out), "--immersion", "4w"], "4w", "has 0w, 8w")
+
+
+def test_a_scene_file_that_is_damaged_is_named(tmp_path, capsys):
+    folder = RunFolder(tmp_path)
+    folder.scene_file.write_text("{")
+    _refused(capsys, ["corrode", "--out", str(tmp_path)], "scene.json", "not JSON")
+    folder.scene_file.write_text(json.dumps({"schema_version": 99}))
+    _refused(capsys, ["corrode", "--out", str(tmp_path)], "schema version", "99")
+
+
+def test_commands_that_are_not_there_are_refused(capsys):
+    _refused(capsys, [], "no command")
+    _refused(capsys, ["dance"], "dance")
+    _refused(capsys, ["bench", "dance"], "dance", "quick-stages")
+
+
+def test_version_and_alloys_are_printed(capsys):
+    assert main(["--version"]) == 0
+    assert re.fullmatch(r"perilife \S+\n", capsys.readouterr().out)
+    assert main(["alloys"]) == 0
+    printed = capsys.readouterr().out
+    for name in ("Mg-5Gd", "Mg-10Gd", "table-5.1"):
+        assert name in printed
+
+
+def test_plan_tells_sizes_time_memory_and_omissions(capsys):
+    assert main(["plan", *SCENE, "--json"]) == 0
+    plan = json.loads(capsys.readouterr().out)
+    # cylinder of 2.755 mm x 4.8 mm: pin diameter 1.755 mm and the margins of Table 5.1's scene
+    assert plan["nodes"] == pytest.approx(3.14159 / 4 * 2.755**2 * 4.8 * 1e3, rel=0.03)
+    assert {task["stage"] for task in plan["tasks"]} == {"geometry", "corrode", "map", "pull"}
+    assert plan["seconds"] == pytest.approx(sum(task["seconds"] for task in plan["tasks"]))
+    assert all(task["memory"] > 0 for task in plan["tasks"])
+    assert plan["omissions"] and all(item["reason"] for item in plan["omissions"])
+    assert main(["plan", *SCENE]) == 0
+    assert "What is left out" in capsys.readouterr().out
+
+
+def test_bench_prints_exactly_one_object(capsys, monkeypatch):
+    fake = Benchmark("a test", lambda: [Result("speed", 2.0, "1/s", ">= 1")])
+    monkeypatch.setitem(BENCHMARKS, "fake", fake)
+    assert main(["bench", "fake", "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert set(printed) == {"name", "machine", "results"}
+    assert printed["results"] == [
+        {"quantity": "speed", "value": 2.0, "unit": "1/s", "target": ">= 1"}
+    ]
+    assert main(["bench", "list"]) == 0
+    listed = capsys.readouterr().out
+    assert "quick-stages" in listed and "fake" in listed
+
+
+def test_errors_of_the_system_become_one_sentence():
+    import errno
+
+    full = OSError(errno.ENOSPC, "No space left on device", "/data/run")
+    assert sentence(full) == "there is no space left to write '/data/run'."
+    denied = PermissionError(errno.EACCES, "Permission denied", "/data/run")
+    assert sentence(denied) == "there is no right to write or read '/data/run'."
+    assert sentence(ValueError("two\nlines")) == "two lines."

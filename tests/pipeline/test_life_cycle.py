@@ -1,0 +1,294 @@
+"""The order of the stages, what is repeated and what is kept, and the table (stages are stood in
+for; tests/end_to_end runs the real ones)."""
+
+import dataclasses
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pipeline import life_cycle
+from pipeline.life_cycle import LifeCycle
+from pipeline.progress import LineProgress
+from pipeline.run_folder import RunFolder, RunFolderError, StageRecord, write_text
+from pipeline.scene import (
+    AlloyScene,
+    CorrosionParameters,
+    CorrosionSettings,
+    DomainSettings,
+    LatticeSettings,
+    MaterialParameters,
+    MeshSettings,
+    Scene,
+    ScrewGeometry,
+    TensileScene,
+)
+from pipeline.summary import COLUMNS, read_summary
+from pipeline.tensile_stage import TensileJob, TensileStageError, run_jobs
+from pipeline.units import parse_immersion_times
+
+FORCES = {"0w": 400.0, "1w": 300.0, "8w": 0.0}
+
+
+def _scene(*labels: str, **changes) -> Scene:
+    alloy = AlloyScene(
+        name="Mg-A",
+        corrosion=CorrosionParameters(66082.4, 0.6608, 8.6822e-9, 2.8779e-15, 0.2355),
+        material=MaterialParameters(43e9, 0.3, 130e6, 120e6, 10.0),
+    )
+    fields = {
+        "resolution": "quick",
+        "parameter_set": "a test",
+        "geometry": ScrewGeometry(),
+        "immersion": parse_immersion_times(labels),
+        "alloys": (alloy,),
+        "lattice": LatticeSettings(100e-6, 200e-6),
+        "domain": DomainSettings(),
+        "corrosion": CorrosionSettings(),
+        "mesh": MeshSettings(0.3e-3, 0.2e-3),
+        "tensile": TensileScene(),
+    }
+    return Scene(**{**fields, **changes})
+
+
+@pytest.fixture
+def calls(monkeypatch) -> list[str]:
+    """Stand-ins for the stages that record that they were called and leave a file each."""
+    made: list[str] = []
+
+    def geometry(scene, folder, solid=None):
+        made.append("geometry")
+        write_text(folder / "mesh.h5", "mesh")
+        return [folder / "mesh.h5"], {"cells": 1}
+
+    def corrode(scene, alloy, geometry, out, advanced=None, checkpoint_every=30.0):
+        made.append(f"corrode {alloy}")
+        write_text(out / "corrosion.h5", "fields")
+        losses = [0.0, 0.05, 0.15][: len(scene.with_intact())]
+        return [out / "corrosion.h5"], {"volume_loss": losses}
+
+    def map_damage(scene, alloy, moment, geometry, corrosion, out):
+        made.append(f"map {alloy} {moment.label}")
+        write_text(out / "damage.h5", "f0")
+        return [out / "damage.h5"], {"mean_corrosion_damage": 0.1 * moment.days / 7}
+
+    def pulls(jobs, ranks, workers, started, advanced, finished):
+        for key, job in jobs.items():
+            made.append(key)
+            out = Path(job.out)
+            force = FORCES[out.name]
+            result = {"peak_force": force, "elongation_at_peak": 0.02, "status": "completed"}
+            write_text(out / "tensile.json", json.dumps(result))
+            write_text(out / "tensile.csv", "elongation,force_N\n")
+            finished(key, 1.0)
+
+    def report(folder):
+        made.append("report")
+        write_text(folder / "report.html", "report")
+        return folder / "report.html"
+
+    monkeypatch.setattr("pipeline.geometry_stage.write_geometry", geometry)
+    monkeypatch.setattr("pipeline.corrosion_stage.corrode_in_folder", corrode)
+    monkeypatch.setattr("pipeline.map_stage.map_in_folder", map_damage)
+    monkeypatch.setattr(life_cycle, "run_jobs", pulls)
+    monkeypatch.setattr("pipeline.report.write_report", report)
+    return made
+
+
+def test_stages_run_in_order_and_fill_the_table(tmp_path, calls):
+    rows = LifeCycle(_scene("0w", "1w", "8w"), tmp_path).run()
+    assert calls == [
+        "geometry",
+        "corrode Mg-A",
+        *(f"map Mg-A {t}" for t in FORCES),
+        *(f"pull Mg-A {t}" for t in FORCES),
+        "report",
+    ]
+    assert (tmp_path / "summary.csv").read_text().splitlines() == [
+        "alloy,immersion_days,volume_loss,mean_corrosion_damage,peak_force_N,strength_ratio,"
+        "elongation_at_peak,status",
+        "Mg-A,0,0,0,400,1,0.02,completed",
+        "Mg-A,7,0.05,0.1,300,0.75,0.02,completed",
+        "Mg-A,56,0.15,0.8,0,0,0.02,completed",
+    ]
+    assert read_summary(tmp_path / "summary.csv") == rows
+    assert COLUMNS[0] == "alloy" and COLUMNS[-1] == "status"
+
+
+def test_the_intact_solid_is_pulled_even_when_time_zero_is_not_asked_for(tmp_path, calls, capsys):
+    progress = LineProgress(sys.stderr)
+    rows = LifeCycle(_scene("1w", "8w"), tmp_path, progress=progress).run()
+    assert "pull Mg-A 0w" in calls
+    assert [row.immersion_days for row in rows] == [7, 56]
+    assert [row.strength_ratio for row in rows] == [0.75, 0.0]
+    assert [row.volume_loss for row in rows] == [0.05, 0.15]
+    assert "time zero was not asked for" in capsys.readouterr().err
+
+
+def test_a_finished_run_is_kept(tmp_path, calls):
+    scene = _scene("0w", "1w", "8w")
+    first = LifeCycle(scene, tmp_path).run()
+    calls.clear()
+    assert LifeCycle(scene, tmp_path).run() == first
+    assert calls == []
+    LifeCycle(scene, tmp_path).report(again=True)
+    assert calls == ["report"]
+
+
+def test_a_lost_output_is_made_again_with_what_needs_it(tmp_path, calls):
+    scene = _scene("0w", "1w")
+    LifeCycle(scene, tmp_path).run()
+    calls.clear()
+    (tmp_path / "Mg-A" / "1w" / "damage.h5").unlink()
+    (tmp_path / "Mg-A" / "0w" / "tensile.csv").unlink()
+    LifeCycle(scene, tmp_path).run()
+    assert calls == ["map Mg-A 1w", "pull Mg-A 0w", "report"]
+
+
+def test_another_mesh_repeats_all_but_the_corrosion(tmp_path, calls):
+    LifeCycle(_scene("0w", "8w"), tmp_path).run()
+    calls.clear()
+    LifeCycle(_scene("0w", "8w", mesh=MeshSettings(0.2e-3, 0.1e-3)), tmp_path).run()
+    assert calls[0] == "geometry"
+    assert "corrode Mg-A" not in calls
+    assert {"map Mg-A 8w", "pull Mg-A 8w"} <= set(calls)
+
+
+def test_an_interrupted_stage_is_not_complete(tmp_path, calls, monkeypatch):
+    def interrupted(*arguments, **keywords):
+        raise KeyboardInterrupt
+
+    scene = _scene("0w", "8w")
+    cycle = LifeCycle(scene, tmp_path)
+    cycle.geometry()
+    with monkeypatch.context() as patch:
+        patch.setattr("pipeline.corrosion_stage.corrode_in_folder", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            cycle.corrode("Mg-A")
+    with pytest.raises(RunFolderError, match="`perilife corrode`"):
+        cycle.map("Mg-A", scene.immersion[0])
+    calls.clear()
+    LifeCycle(scene, tmp_path).run()
+    assert calls[0] == "corrode Mg-A"
+
+
+def test_a_record_needs_its_inputs_and_its_outputs(tmp_path):
+    folder = RunFolder(tmp_path)
+    write_text(tmp_path / "part" / "out.txt", "x")
+    record = StageRecord("work", "hash", 1.5, outputs=("part/out.txt",), numbers={"n": 3})
+    folder.write_record(tmp_path / "part", record)
+    assert folder.complete(tmp_path / "part", "work", "hash") == record
+    assert folder.complete(tmp_path / "part", "work", "other") is None
+    assert folder.complete(tmp_path / "part", "play", "hash") is None
+    (tmp_path / "part" / "out.txt").unlink()
+    assert folder.complete(tmp_path / "part", "work", "hash") is None
+
+
+def test_a_damaged_record_counts_as_none(tmp_path):
+    folder = RunFolder(tmp_path)
+    for text in ("", "{", "[]", '{"stage": "work"}'):
+        (tmp_path / "work.stage.json").write_text(text)
+        assert folder.complete(tmp_path, "work", "hash") is None
+
+
+def test_a_failed_write_leaves_the_old_file_and_no_temporary(tmp_path, monkeypatch):
+    target = tmp_path / "file.txt"
+    write_text(target, "old")
+
+    def full(*arguments, **keywords):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", full)
+    with pytest.raises(OSError):
+        write_text(target, "new")
+    assert target.read_text() == "old"
+    assert [p.name for p in tmp_path.iterdir()] == ["file.txt"]
+
+
+def _job(out: Path, scene: Scene) -> TensileJob:
+    out.mkdir(parents=True)
+    material = scene.alloys[0].material
+    return TensileJob(str(out), str(out), str(out), material, scene.tensile)
+
+
+def _child(monkeypatch, code: str) -> None:
+    """Let every tensile job be a small Python program instead."""
+    command = [sys.executable, "-c", code]
+    monkeypatch.setattr("pipeline.tensile_stage._launcher", lambda ranks: command)
+
+
+def test_a_job_survives_its_file(tmp_path):
+    job = _job(tmp_path / "a", _scene("0w"))
+    assert TensileJob.read(job.write()) == job
+
+
+def test_jobs_run_side_by_side_up_to_the_number_asked_for(tmp_path, monkeypatch):
+    _child(monkeypatch, "import time; time.sleep(0.3)")
+    jobs = {str(n): _job(tmp_path / str(n), _scene("0w")) for n in range(4)}
+    running, most, done = set(), [], []
+
+    def started(key):
+        running.add(key)
+        most.append(len(running))
+
+    def finished(key, seconds):
+        running.discard(key)
+        done.append(key)
+        assert seconds >= 0.3
+
+    run_jobs(jobs, workers=2, started=started, finished=finished)
+    assert max(most) == 2
+    assert sorted(done) == sorted(jobs)
+
+
+def test_a_failed_job_is_named_with_its_log_and_the_others_finish(tmp_path, monkeypatch):
+    code = "import sys; sys.exit('no pivot' if sys.argv[1].split('/')[-2] == 'bad' else 0)"
+    _child(monkeypatch, code)
+    jobs = {name: _job(tmp_path / name, _scene("0w")) for name in ("good", "bad")}
+    done = []
+    with pytest.raises(TensileStageError, match=r"bad ended with exit status 1 \(no pivot; log: "):
+        run_jobs(jobs, workers=2, finished=lambda key, seconds: done.append(key))
+    assert done == ["good"]
+
+
+def test_children_end_with_an_interrupted_run(tmp_path, monkeypatch):
+    code = "import time, sys, os; open(sys.argv[1] + '.pid', 'w').write(str(os.getpid()))"
+    _child(monkeypatch, code + "; time.sleep(60)")
+    job = _job(tmp_path / "a", _scene("0w"))
+    note = tmp_path / "a" / "tensile-job.json.pid"
+
+    def interrupt(key, fraction):
+        if note.exists() and note.read_text():
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_jobs({"a": job}, advanced=interrupt)
+    status = Path("/proc", note.read_text(), "stat")
+    assert not status.exists() or " Z " in status.read_text()
+
+
+def test_a_missing_mpirun_is_named(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(FileNotFoundError, match="mpirun was not found.*--np 2"):
+        run_jobs({"a": _job(tmp_path / "a", _scene("0w"))}, ranks=2)
+
+
+def test_the_command_starts_without_the_heavy_libraries():
+    """`perilife --version` must not wait for gmsh, Numba, VTK or dolfinx."""
+    heavy = ("gmsh", "numba", "pyvista", "vtk", "dolfinx", "mpi4py")
+    code = (
+        "import sys; from pipeline.cli import main; main(['--version']);"
+        f"print([name for name in {heavy!r} if name in sys.modules])"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])}
+    command = [sys.executable, "-c", code]
+    ended = subprocess.run(command, capture_output=True, text=True, env=environment, check=True)
+    assert ended.stdout.splitlines()[-1] == "[]"
+
+
+def test_the_scene_does_not_change_while_it_is_used():
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        _scene("0w").mesh.size = 1.0
