@@ -91,7 +91,7 @@ def _assemble_groups(
     cells, owned, alive, gradients, volumes, displacement = mesh
     cell_start, node_start, group_nodes, place = groups
     nn, nq = cells.shape[1], gradients.shape[1]
-    small, dyad, tangent = np.empty((6, 3, 3)), np.empty((9, 9)), np.empty((9, 9))
+    small, dyad, tangent = np.empty((5, 3, 3)), np.empty((2, 9, 9)), np.empty((9, 9))
     stress, scaled = np.empty((3, 3)), np.empty((3, 3))
     deformation, inverse = np.empty((largest[0], nq, 3, 3)), np.empty((3, 3))
     jacobian, spatial = np.empty((largest[0], nq)), np.empty((largest[0], nq, nn, 3))

@@ -72,8 +72,9 @@ def _system(a, beta, volume, mises, jacobian, strain, damage, material, kind, ha
     slope *= jacobian
     s_a, s_b, s_q = slope * e_a, slope * e_b, slope * e_q
 
-    remaining = (1.0 - damage) * np.exp(-a)
-    f, f_a, f_b, f_q = damage * np.exp(-a) - np.expm1(-a), remaining, 0.0, 0.0
+    shrink = np.expm1(-a)
+    remaining = (1.0 - damage) * (1.0 + shrink)
+    f, f_a, f_b, f_q = damage + (damage - 1.0) * shrink, remaining, 0.0, 0.0
     if material[NUCLEATED] > 0.0:
         width = material[NUCLEATION_DEVIATION] * np.sqrt(2.0)
         old = (strain - material[NUCLEATION_MEAN]) / width
@@ -94,8 +95,11 @@ def _system(a, beta, volume, mises, jacobian, strain, damage, material, kind, ha
     h_a = -1.5 * q2 * bulk / flow - h * s_a / flow
     h_b, h_q = -h * s_b / flow, -h * s_q / flow
     h_v = 1.5 * q2 * bulk / flow - h
-    half, cosh_half = np.sinh(0.5 * h), np.cosh(0.5 * h)
-    sinh, cosh = 2.0 * half * cosh_half, 1.0 + 2.0 * half * half
+    grown = np.expm1(0.5 * abs(h))
+    half = 0.5 * (grown + grown / (1.0 + grown))  # sinh(|h| / 2)
+    sinh, cosh = 2.0 * half * (1.0 + grown - half), 1.0 + 2.0 * half * half
+    if h < 0.0:
+        sinh = -sinh
 
     factor = 0.5 * q1 * q2 / shear
     keep = 1.0 - beta

@@ -22,7 +22,7 @@ def eigen_symmetric(matrix: np.ndarray, values: np.ndarray, vectors: np.ndarray)
     for _ in range(_SWEEPS):
         off = matrix[0, 1] ** 2 + matrix[0, 2] ** 2 + matrix[1, 2] ** 2
         scale = matrix[0, 0] ** 2 + matrix[1, 1] ** 2 + matrix[2, 2] ** 2
-        if off <= 1e-33 * scale:
+        if off <= 1e-31 * scale:
             break
         for pair in range(3):
             p = 0 if pair < 2 else 1
@@ -86,7 +86,7 @@ def invert(matrix: np.ndarray, inverse: np.ndarray) -> float:
 
 
 @njit(cache=True, nogil=True)
-def push_forward(gradient: np.ndarray, symmetric: np.ndarray, result: np.ndarray) -> None:
+def push_forward(gradient: np.ndarray, symmetric: tuple, result: np.ndarray) -> None:
     """result = gradient symmetric gradient^T; `symmetric` holds 00, 11, 22, 01, 02, 12."""
     s00, s11, s22, s01, s02, s12 = symmetric
     for i in range(3):
@@ -100,6 +100,22 @@ def push_forward(gradient: np.ndarray, symmetric: np.ndarray, result: np.ndarray
 
 
 @njit(cache=True, nogil=True)
+def from_principal(vectors: np.ndarray, first: float, second: float, third: float) -> tuple:
+    """Components 00, 11, 22, 01, 02, 12 of the tensor with these principal values."""
+    a0, a1, a2 = vectors[0, 0], vectors[1, 0], vectors[2, 0]
+    b0, b1, b2 = vectors[0, 1], vectors[1, 1], vectors[2, 1]
+    c0, c1, c2 = vectors[0, 2], vectors[1, 2], vectors[2, 2]
+    return (
+        first * a0 * a0 + second * b0 * b0 + third * c0 * c0,
+        first * a1 * a1 + second * b1 * b1 + third * c1 * c1,
+        first * a2 * a2 + second * b2 * b2 + third * c2 * c2,
+        first * a0 * a1 + second * b0 * b1 + third * c0 * c1,
+        first * a0 * a2 + second * b0 * b2 + third * c0 * c2,
+        first * a1 * a2 + second * b1 * b2 + third * c1 * c2,
+    )
+
+
+@njit(cache=True, nogil=True)
 def spatial_tangent(
     principal: np.ndarray,
     stretches: np.ndarray,
@@ -107,39 +123,39 @@ def spatial_tangent(
     shear_ratio: float,
     tangent: np.ndarray,
     dyad: np.ndarray,
+    product: np.ndarray,
 ) -> None:
     """Fill c of d(tau) = c : l, with l = dF F^-1, as (9, 9), row 3 i + j, column 3 k + l.
 
     principal: D_AB = d tau_A / d eps_B (3, 3); stretches: squared trial stretches b_A (3,);
     shear_ratio: (tau_A - tau_B) / (eps_A - eps_B), the same for every pair in an isotropic law
     with radial return. With theta = (tau_A - tau_B) / (b_A - b_B), d tau_AB = theta (b_B l_AB +
-    b_A l_BA) for A /= B. `dyad` (9, 9) is scratch: row 3 A + B holds n_A (x) n_B.
+    b_A l_BA) for A /= B. `dyad` (9, 9; row 3 A + B holds n_A (x) n_B) and
+    `product` (9, 9) are scratch.
     """
     for a in range(3):
         for b in range(3):
+            row = 3 * a + b
             for i in range(3):
                 for j in range(3):
-                    dyad[3 * a + b, 3 * i + j] = vectors[i, a] * vectors[j, b]
+                    dyad[row, 3 * i + j] = vectors[i, a] * vectors[j, b]
+    for a in range(3):
+        for j in range(9):
+            product[4 * a, j] = (
+                principal[a, 0] * dyad[0, j]
+                + principal[a, 1] * dyad[4, j]
+                + principal[a, 2] * dyad[8, j]
+            )
+        for b in range(a):
+            theta = 0.5 * shear_ratio * log_divided_difference(stretches[a], stretches[b])
+            first, second = theta * stretches[b], theta * stretches[a]
+            for j in range(9):
+                value = first * dyad[3 * a + b, j] + second * dyad[3 * b + a, j]
+                product[3 * a + b, j] = product[3 * b + a, j] = value
     for i in range(9):
         for j in range(9):
-            tangent[i, j] = 0.0
-    for a in range(3):
-        for b in range(3):
-            if a == b:
-                for i in range(9):
-                    left = dyad[4 * a, i]
-                    for j in range(9):
-                        tangent[i, j] += left * (
-                            principal[a, 0] * dyad[0, j]
-                            + principal[a, 1] * dyad[4, j]
-                            + principal[a, 2] * dyad[8, j]
-                        )
-            else:
-                theta = 0.5 * shear_ratio * log_divided_difference(stretches[a], stretches[b])
-                first, second = theta * stretches[b], theta * stretches[a]
-                for i in range(9):
-                    left = dyad[3 * a + b, i]
-                    for j in range(9):
-                        tangent[i, j] += left * (
-                            first * dyad[3 * a + b, j] + second * dyad[3 * b + a, j]
-                        )
+            tangent[i, j] = dyad[0, i] * product[0, j]
+        for row in range(1, 9):
+            factor = dyad[row, i]
+            for j in range(9):
+                tangent[i, j] += factor * product[row, j]

@@ -29,7 +29,7 @@ from fem.constitutive.gurson import (
     return_map,
 )
 from fem.constitutive.hardening import Hardening, VoceHardening, flow_stress
-from fem.constitutive.hencky import eigen_symmetric, invert, push_forward, spatial_tangent
+from fem.constitutive.hencky import eigen_symmetric, from_principal, invert, push_forward, spatial_tangent
 
 
 def _require(condition: bool, field: str, value: object, allowed: str) -> None:
@@ -113,10 +113,6 @@ class Material:
         return vector
 
 
-# scratch of one thread: rows 0-2 of `small` vectors, `dyad` for the tangent
-SCRATCH = 9 * 9 + 6 * 9
-
-
 @njit(cache=True, nogil=True)
 def update_point(
     gradient, plastic_old, strain, damage, material, kind, hardening, need_tangent, stress,
@@ -126,18 +122,22 @@ def update_point(
 
     gradient: F (3,3); plastic_old: Cp^-1 (6,) at the start of the step; strain, damage: plastic
     strain and f there. Fills `stress` (Kirchhoff, 3x3), `tangent` (9x9: d tau = tangent : dF F^-1)
-    when asked, and `plastic_new` (6,). `small` (6,3,3) and `dyad` (9,9) are scratch.
+    when asked, and `plastic_new` (6,). `small` (5,3,3) and `dyad` (9,9) are scratch.
 
     Returns (ok, plastic strain, f, stored energy, dissipated energy, mises, mean stress) with
     energies per reference volume and Kirchhoff stresses; ok is False for det F <= 0 or no number.
     """
-    trial, vectors, principal, inverse, log_strain, work = (
-        small[0], small[1], small[2], small[3], small[4], small[5],
+    trial, vectors, principal, inverse, log_strain = (
+        small[0], small[1], small[2], small[3], small[4],
     )  # fmt: skip
     jacobian = invert(gradient, inverse)
     if not jacobian > 0.0:
         return False, strain, damage, 0.0, 0.0, 0.0, 0.0
-    push_forward(gradient, plastic_old, trial)
+    plastic = (
+        plastic_old[0], plastic_old[1], plastic_old[2],
+        plastic_old[3], plastic_old[4], plastic_old[5],
+    )  # fmt: skip
+    push_forward(gradient, plastic, trial)
     stretches = log_strain[2]
     eigen_symmetric(trial, stretches, vectors)
     if not (stretches[0] > 0.0 and stretches[1] > 0.0 and stretches[2] > 0.0):
@@ -155,39 +155,31 @@ def update_point(
         volume, mises, jacobian, strain, damage, material, kind, hardening
     )
     pressure = bulk * (volume - a_pl)
-    for i in range(3):
-        for j in range(3):
-            stress[i, j] = pressure if i == j else 0.0
-    for a in range(3):
-        value = 2.0 * shear * beta * deviator[a]
-        for i in range(3):
-            for j in range(3):
-                stress[i, j] += value * vectors[i, a] * vectors[j, a]
+    scale = 2.0 * shear * beta
+    tau = from_principal(
+        vectors,
+        pressure + scale * deviator[0],
+        pressure + scale * deviator[1],
+        pressure + scale * deviator[2],
+    )
+    stress[0, 0], stress[1, 1], stress[2, 2] = tau[0], tau[1], tau[2]
+    stress[0, 1] = stress[1, 0] = tau[3]
+    stress[0, 2] = stress[2, 0] = tau[4]
+    stress[1, 2] = stress[2, 1] = tau[5]
     if new_strain == strain and a_pl == 0.0:
         for k in range(6):
             plastic_new[k] = plastic_old[k]
     else:
-        for a in range(3):
-            elastic = np.exp(2.0 * ((volume - a_pl) / 3.0 + beta * deviator[a]))
-            for i in range(3):
-                for j in range(3):
-                    if a == 0:
-                        work[i, j] = 0.0
-                    work[i, j] += elastic * vectors[i, a] * vectors[j, a]
-        stress_row = trial  # free by now: holds F^-1 b_e
-        for i in range(3):
-            for j in range(3):
-                stress_row[i, j] = (
-                    inverse[i, 0] * work[0, j] + inverse[i, 1] * work[1, j] + inverse[i, 2] * work[2, j]
-                )
-        index = 0
-        for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
-            plastic_new[index] = (
-                stress_row[i, 0] * inverse[j, 0]
-                + stress_row[i, 1] * inverse[j, 1]
-                + stress_row[i, 2] * inverse[j, 2]
-            )
-            index += 1
+        third = (volume - a_pl) / 3.0
+        elastic = from_principal(
+            vectors,
+            np.exp(2.0 * (third + beta * deviator[0])),
+            np.exp(2.0 * (third + beta * deviator[1])),
+            np.exp(2.0 * (third + beta * deviator[2])),
+        )
+        push_forward(inverse, elastic, trial)  # Cp^-1 = F^-1 b_e F^-T
+        plastic_new[0], plastic_new[1], plastic_new[2] = trial[0, 0], trial[1, 1], trial[2, 2]
+        plastic_new[3], plastic_new[4], plastic_new[5] = trial[0, 1], trial[0, 2], trial[1, 2]
     final = beta * mises
     stored = 0.5 * bulk * (volume - a_pl) ** 2 + final * final / (6.0 * shear)
     dissipated = 0.0
@@ -205,7 +197,7 @@ def update_point(
                 principal[a, b] = bulk * (1.0 - d_a) - 2.0 / 3.0 * shear * beta
                 principal[a, b] += 2.0 * shear * deviator[a] * d_beta
             principal[a, a] += 2.0 * shear * beta
-        spatial_tangent(principal, stretches, vectors, 2.0 * shear * beta, tangent, dyad)
+        spatial_tangent(principal, stretches, vectors, 2.0 * shear * beta, tangent, dyad[0], dyad[1])
     finite = np.isfinite(pressure) and np.isfinite(final) and np.isfinite(new_strain)
     return finite, new_strain, new_damage, stored, dissipated, final, pressure
 
@@ -219,7 +211,7 @@ def update_points(
 
     For tests and benchmarks; the assembly calls `update_point` within its loop over cells.
     """
-    small, dyad = np.empty((6, 3, 3)), np.empty((9, 9))
+    small, dyad = np.empty((5, 3, 3)), np.empty((2, 9, 9))
     failed = 0
     for i in range(gradients.shape[0]):
         ok, strain, damage, _, _, _, _ = update_point(
