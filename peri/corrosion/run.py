@@ -259,7 +259,8 @@ def _relative_change(problem: BiMaterial, old, new, predicted) -> float:
     metal = problem.metal
     volume = problem.capacity[metal]
     progress = float(np.dot(volume, np.abs(new[metal] - old[metal])))
-    if progress <= 1e-14 * problem.metal_scale:
+    # What the solver's tolerance moves says nothing about the rate.
+    if progress <= 0.1 * problem.tolerance * problem.metal_scale:
         return 0.0
     return float(np.dot(volume, np.abs(new[metal] - predicted[metal]))) / progress
 
