@@ -20,20 +20,20 @@ def checks(run: RunResults) -> list[dict[str, str]]:
         error = column(alloy.history, "balance_error")
         if error is not None and len(error):
             add(
-                f"Mass balance of the corrosion of {alloy.name}",
+                f"{alloy.name}: mass balance of the corrosion",
                 f"{np.nanmax(np.abs(error)):.0e}",
                 "largest share of the metal that appears or vanishes in the computation",
             )
     for alloy in run.alloys:
         differences = [
-            (abs(item.map_numbers["lost_difference"]), item)
+            (abs(item.map_numbers["relative_difference"]), item)
             for item in alloy.immersions
-            if isinstance(item.map_numbers.get("lost_difference"), int | float)
+            if isinstance(item.map_numbers.get("relative_difference"), int | float)
         ]
         if differences:
             worst, item = max(differences, key=lambda pair: pair[0])
             add(
-                f"Lost mass of {alloy.name}, mesh against lattice",
+                f"{alloy.name}: lost mass, mesh against lattice",
                 percent(worst, 2),
                 f"largest difference, after {duration(item.seconds)}: what the change from the "
                 "lattice to the mesh does to the damage",
