@@ -80,7 +80,7 @@ class NonlocalSum:
 
     def crop(self, padded: np.ndarray) -> np.ndarray:
         """The lattice part of a padded array (a copy, of the lattice's shape)."""
-        return np.ascontiguousarray(padded[self.interior]).reshape(self.lattice_shape)
+        return np.array(padded[self.interior], order="C").reshape(self.lattice_shape)
 
     def __call__(self, u: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
         """The sum for a padded field; `out` must not be `u`."""
