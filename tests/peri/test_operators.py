@@ -129,6 +129,17 @@ def test_pad_and_crop_are_inverse():
     np.testing.assert_array_equal(bond_sum.crop(padded), field)
 
 
+@pytest.mark.parametrize("name", ["1D, reach 1", "2D, reach 1", "3D, reach 1"])
+def test_crop_is_a_copy(name):
+    """In 1D the interior is contiguous, and a view of it would follow the march."""
+    shape = CASES[name][0]
+    bond_sum = NonlocalSum(stencil_of(name), shape)
+    padded = bond_sum.pad(np.ones(shape))
+    cropped = bond_sum.crop(padded)
+    padded[:] = 2.0
+    np.testing.assert_array_equal(cropped, 1.0)
+
+
 def plain(function):
     """The Python function behind a compiled kernel."""
     return getattr(function, "__wrapped__", None) or function.py_func
