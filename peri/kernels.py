@@ -276,14 +276,15 @@ def aggregate(fine, margin, factors, coarse):
 
 
 @_by_size
-def prolong_add(coarse, factors, x):
-    """x += the value of the coarse cell that each cell belongs to."""
+def prolong_add(coarse, factors, margin, fine):
+    """fine += the value of the coarse cell that each cell belongs to."""
+    ma, mb, mc = margin
     fa, fb, fc = factors
-    for i in prange(x.shape[0] - 2):
-        for j in range(x.shape[1] - 2):
-            line, row = coarse[i // fa + 1, j // fb + 1], x[i + 1, j + 1]
-            for k in range(x.shape[2] - 2):
-                row[k + 1] += line[k // fc + 1]
+    for i in prange(fine.shape[0] - 2 * ma):
+        for j in range(fine.shape[1] - 2 * mb):
+            line, row = coarse[i // fa + 1, j // fb + 1], fine[i + ma, j + mb]
+            for k in range(fine.shape[2] - 2 * mc):
+                row[k + mc] += line[k // fc + 1]
 
 
 @_by_size(fastmath=_CONTRACT)

@@ -87,7 +87,7 @@ class LocalMultigrid:
             coarse = self.levels[index + 1]
             level.residual()
             kernels.aggregate(level.r, (1, 1, 1), self.steps[index], coarse.b)
-            kernels.prolong_add(self.cycle(index + 1), self.steps[index], level.x)
+            kernels.prolong_add(self.cycle(index + 1), self.steps[index], (1, 1, 1), level.x)
             level.smooth(from_zero=False)
         return level.x
 

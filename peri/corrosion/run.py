@@ -14,6 +14,7 @@ from peri import results
 from peri.corrosion.bimaterial import BiMaterial, BoundsError, Stage
 from peri.corrosion.scene import CorrosionScene
 from peri.marching import GAMMA, TimeStepping, next_step, step_towards
+from peri.processes import ONE_PROCESS, OneProcess
 from peri.solvers import ConvergenceError
 
 log = logging.getLogger(__name__)
@@ -68,6 +69,7 @@ def corrode(
     checkpoint: Path | None = None,
     resume: bool = False,
     checkpoint_every: float = 30.0,
+    processes: OneProcess = ONE_PROCESS,
 ) -> CorrosionResult:
     """March a corrosion scene to the times asked for.
 
@@ -87,6 +89,9 @@ def corrode(
         File that holds the march's state every `checkpoint_every` seconds of wall time.
     resume : bool
         Continue from the checkpoint if there is one; it must belong to the same march.
+    processes : OneProcess or its like
+        Who holds which block of the lattice (petsc_backend.corrode gives it); progress, files
+        and the result's fields are the root's.
 
     Raises
     ------
@@ -96,18 +101,20 @@ def corrode(
     stepping = stepping or TimeStepping()
     times = _check_times(times)
     started = clock.perf_counter()
-    problem = BiMaterial(scene, solver_tolerance)
-    if scene.saturation == "as_published" and stepping.scheme == "sdirk2":
+    problem = BiMaterial(scene, solver_tolerance, processes)
+    if problem.scene.saturation == "as_published" and stepping.scheme == "sdirk2":
         raise ValueError(
             "scheme: 'sdirk2' with saturation 'as_published'; its switch lasts for a step, so "
             "use backward_euler with a fixed step"
         )
-    fingerprint = results.fingerprint(scene, times, stepping, solver_tolerance)
+    mark = (
+        results.fingerprint(scene, times, stepping, solver_tolerance) if processes.is_root else ""
+    )
     if stepping.scheme == "forward_euler":
         _check_explicit_step(problem, stepping)
     outputs: list[tuple[np.ndarray, np.ndarray, float]] = []
-    if resume and checkpoint is not None and Path(checkpoint).exists():
-        state = _restore(problem, Path(checkpoint), fingerprint, outputs)
+    if resume and checkpoint is not None and processes.from_root(Path(checkpoint).exists()):
+        state = _restore(problem, Path(checkpoint), mark, outputs)
     else:
         state = _initial(problem, stepping, times)
         _record(problem, state, 0.0, None, 0)
@@ -116,11 +123,11 @@ def corrode(
     while True:
         while len(outputs) < times.size and times[len(outputs)] <= state.time * (1 + 1e-12):
             outputs.append((
-                problem.sum.crop(state.concentration),
-                problem.sum.crop(problem.metal.astype(float)) > 0,
+                processes.gather(problem.sum.crop(state.concentration)),
+                processes.gather(problem.sum.crop(problem.metal)),
                 state.volume_loss,
             ))
-        if progress is not None:
+        if progress is not None and processes.is_root:
             progress(
                 state.time / end if end > 0 else 1.0,
                 f"day {state.time / 86400:.1f}, volume loss {100 * state.volume_loss:.2f} %",
@@ -128,8 +135,9 @@ def corrode(
         if len(outputs) == times.size:
             break
         _advance(problem, state, stepping, times[len(outputs)])
-        if checkpoint is not None and clock.perf_counter() - saved > checkpoint_every:
-            _save(problem, state, Path(checkpoint), fingerprint, outputs)
+        due = checkpoint is not None and clock.perf_counter() - saved > checkpoint_every
+        if processes.from_root(due):
+            _save(problem, state, Path(checkpoint), mark, outputs)
             saved = clock.perf_counter()
     return CorrosionResult(
         scene,
@@ -169,7 +177,8 @@ def _initial(problem: BiMaterial, stepping: TimeStepping, times) -> _State:
     elif stepping.first_step is not None:
         step = stepping.first_step
     else:
-        rate = problem.metal_rates().max(initial=0.0) * problem.scene.kinetics.factor(0.0)
+        rate = problem.processes.largest(float(problem.metal_rates().max(initial=0.0)))
+        rate *= problem.scene.kinetics.factor(0.0)
         step = min(0.01 * times[-1], 0.1 * stepping.rate_change / max(rate, 1e-300))
     return _State(0.0, concentration, concentration.copy(), 0.0, max(step, 1e-300), None, 0.0)
 
@@ -257,20 +266,23 @@ def _guess(problem: BiMaterial, old, slope, factor):
 def _relative_change(problem: BiMaterial, old, new, predicted) -> float:
     """Amount-weighted difference of two results, relative to what the step dissolved."""
     metal = problem.metal
-    volume = problem.capacity[metal]
-    progress = float(np.dot(volume, np.abs(new[metal] - old[metal])))
+    volume, total = problem.capacity[metal], problem.processes.total
+    progress = total(float((volume * np.abs(new[metal] - old[metal])).sum()))
     # What the solver's tolerance moves says nothing about the rate.
     if progress <= 0.1 * problem.tolerance * problem.metal_scale:
         return 0.0
-    return float(np.dot(volume, np.abs(new[metal] - predicted[metal]))) / progress
+    return total(float((volume * np.abs(new[metal] - predicted[metal])).sum())) / progress
 
 
 def _out_of_bounds(problem: BiMaterial, old, new) -> bool:
     rounding = 1e-12 * problem.scene.solid_concentration
     metal = problem.metal
-    if np.any(new[metal] < -rounding) or np.any(new[metal] > old[metal] + rounding):
-        return True
-    return bool(new.min() < -rounding)
+    out = np.any(new[metal] > old[metal] + rounding) or new.min() < -rounding
+    if problem.scene.saturation == "complementarity":
+        # The stages watch the liquid within reach of the metal; beyond it only this does.
+        liquid = new[problem.free].max(initial=0.0)
+        out |= liquid > problem.scene.saturation_concentration * (1 + 1e-9)
+    return problem.processes.any(out)
 
 
 def _record(problem, state: _State, step, stages, dissolved) -> None:
@@ -280,7 +292,8 @@ def _record(problem, state: _State, step, stages, dissolved) -> None:
     error = (metal + liquid + state.released - initial) / initial if initial else 0.0
     saturated = 0
     if state.theta is not None:
-        saturated = int(((state.theta < 1.0) & (problem.box_free_volume > 0)).sum())
+        held = (state.theta < 1.0) & (problem.box_free_volume > 0)
+        saturated = problem.processes.total(int(held.sum()))
     row = (
         state.time, step, state.volume_loss, metal, liquid, state.released, error, saturated,
         dissolved, sum(s.iterations for s in stages) if stages else 0,
@@ -293,17 +306,20 @@ def _record(problem, state: _State, step, stages, dissolved) -> None:
 
 
 def _save(problem, state: _State, path: Path, fingerprint: str, outputs) -> None:
+    gather, crop = problem.processes.gather, problem.sum.crop
     arrays = {
-        "concentration": state.concentration,
-        "previous": state.previous,
-        "metal": problem.metal,
+        "concentration": gather(crop(state.concentration)),
+        "previous": gather(crop(state.previous)),
+        "metal": gather(crop(problem.metal)),
         "history": np.array([state.history[name] for name in HISTORY], float),
         "scalars": np.array(
             [state.time, state.previous_step, state.step, state.volume_loss, state.released]
         ),
     }
     if state.theta is not None:
-        arrays["theta"] = state.theta
+        arrays["theta"] = gather(crop(problem.put(state.theta)))
+    if not problem.processes.is_root:
+        return
     for n, (concentration, metal, loss) in enumerate(outputs):
         arrays[f"output{n}/concentration"] = concentration
         arrays[f"output{n}/metal"] = metal
@@ -312,22 +328,36 @@ def _save(problem, state: _State, path: Path, fingerprint: str, outputs) -> None
 
 
 def _restore(problem, path: Path, fingerprint: str, outputs) -> _State:
-    arrays = results.read_checkpoint(path, fingerprint)
-    now, previous_step, step, loss, released = arrays["scalars"]
-    problem.metal = arrays["metal"].astype(bool)
+    processes, arrays, error = problem.processes, {}, None
+    if processes.is_root:
+        try:
+            arrays = results.read_checkpoint(path, fingerprint)
+        except (ValueError, OSError) as caught:
+            error = caught
+    error = processes.from_root(error)
+    if error is not None:
+        raise error
+
+    def field_of(name: str) -> np.ndarray:
+        return problem.sum.pad(processes.scatter(arrays.get(name)))
+
+    numbers = {name: arrays.get(name) for name in ("scalars", "history")}
+    losses = [arrays[f"output{n}/volume_loss"] for n in range(_count_outputs(arrays))]
+    numbers, losses, limited = processes.from_root((numbers, losses, "theta" in arrays))
+    now, previous_step, step, loss, released = numbers["scalars"]
+    problem.metal = field_of("metal") > 0
     problem.update_phase()
     state = _State(
-        now, arrays["concentration"], arrays["previous"], previous_step, step,
-        arrays.get("theta"), loss, released,
+        now, field_of("concentration"), field_of("previous"), previous_step, step,
+        problem.take(field_of("theta")) if limited else None, loss, released,
     )
-    for name, values in zip(HISTORY, arrays["history"], strict=True):
+    for name, values in zip(HISTORY, numbers["history"], strict=True):
         state.history[name] = list(values)
-    n = 0
-    while f"output{n}/concentration" in arrays:
-        outputs.append((
-            arrays[f"output{n}/concentration"],
-            arrays[f"output{n}/metal"].astype(bool),
-            float(arrays[f"output{n}/volume_loss"]),
-        ))
-        n += 1
+    for n, loss in enumerate(losses):
+        fields = (arrays.get(f"output{n}/{name}") for name in ("concentration", "metal"))
+        outputs.append((*fields, float(loss)))
     return state
+
+
+def _count_outputs(arrays) -> int:
+    return sum(name.endswith("/volume_loss") for name in arrays)
