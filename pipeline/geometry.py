@@ -342,7 +342,8 @@ def _triangulate(body: tuple[int, int], feature: float | None) -> tuple[np.ndarr
     option("Mesh.MeshSizeFromCurvature", 14)
     option("Mesh.MeshSizeMax", size)
     option("Mesh.MeshSizeMin", size / 8)
-    option("Mesh.Algorithm", 6)
+    option("Mesh.Algorithm", 5)
+    option("Mesh.Smoothing", 0)  # the shape of these triangles does not matter
     gmsh.model.mesh.generate(2)
     points, index = _nodes()
     triangles = index[gmsh.model.mesh.getElementsByType(2)[1].astype(np.int64)].reshape(-1, 3)

@@ -193,7 +193,7 @@ class ScrewParameters:
 
 
 def reference_volume_and_area(
-    screw: ScrewParameters, angles: int = 2880, heights: int = 120
+    screw: ScrewParameters, angles: int = 1440, heights: int = 120
 ) -> tuple[float, float]:
     """Volume (m^3) and surface area (m^2) of the screw from its parameters alone.
 
