@@ -18,6 +18,7 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -308,16 +309,19 @@ def write_overview(run: RunResults, pictures: dict[tuple[str, str, str], Path], 
 
     from pipeline.plots import ALLOY_COLOURS, draw_strength
     from pipeline.units import parse_time
+    from pipeline.wording import duration
 
     labels = sorted({label for _, label, _ in pictures}, key=lambda text: parse_time(text).seconds)
     rows, columns = len(run.alloys), len(labels)
     tested = any(i.strength_ratio is not None for a in run.alloys for i in a.immersions)
-    widths = [1.2 * columns + 0.4, 4.4 if tested else 0.01]
-    figure = Figure(figsize=(sum(widths), 1.85 * rows + 0.75), dpi=150)
+    widths = [max(1.2 * columns + 0.4, 3.4), 4.4 if tested else 0.01]
+    height = 1.85 * rows + 1.05
+    bottom, top = 0.72 / height, 1 - 0.33 / height
+    figure = Figure(figsize=(sum(widths), height), dpi=150)
     left, right = figure.subfigures(1, 2, width_ratios=widths)
     grid = left.subplots(rows, columns, squeeze=False)
-    left.subplots_adjust(left=0.07, right=1.0, bottom=0.17, top=0.92, wspace=0.02, hspace=0.04)
-    for axes_row, alloy, colour in zip(grid, run.alloys, ALLOY_COLOURS, strict=False):
+    left.subplots_adjust(left=0.07, right=1.0, bottom=bottom, top=top, wspace=0.02, hspace=0.04)
+    for axes_row, alloy, colour in zip(grid, run.alloys, cycle(ALLOY_COLOURS), strict=False):
         axes_row[0].text(
             -0.12,
             0.5,
@@ -336,8 +340,8 @@ def write_overview(run: RunResults, pictures: dict[tuple[str, str, str], Path], 
             if place is not None and place.is_file():
                 axes.imshow(images.imread(place), interpolation="lanczos")
     for axes, label in zip(grid[0], labels, strict=True):
-        axes.set_title(label.replace("w", " w"), fontsize=10)
-    scale = left.add_axes((0.25, 0.085, 0.6, 0.022))
+        axes.set_title(duration(parse_time(label).seconds), fontsize=10)
+    scale = left.add_axes((0.25, 0.31 / height, 0.6, 0.09 / height))
     colours = ScalarMappable(
         Normalize(0.0, MAXIMUM_DAMAGE),
         LinearSegmentedColormap.from_list("corrosion", DAMAGE_COLOURS),
@@ -348,7 +352,7 @@ def write_overview(run: RunResults, pictures: dict[tuple[str, str, str], Path], 
     bar.ax.set_title("Corrosion damage; a quarter is cut out", fontsize=8.5, pad=3)
     if tested:
         axes = right.subplots()
-        right.subplots_adjust(left=0.15, right=0.96, bottom=0.17, top=0.92)
+        right.subplots_adjust(left=0.15, right=0.96, bottom=bottom, top=top)
         draw_strength(axes, run.alloys, ALLOY_COLOURS)
         axes.set_xlim(left=0)
         axes.grid(color="#dddddd", lw=0.6)

@@ -168,6 +168,9 @@ def _read_alloy(
             for row in summary
             if row.alloy == name and abs(row.immersion_days - time.days) < 1e-6 * (1 + time.days)
         ]
+        tensile = _read_json(place / "tensile.json")
+        if str(tensile.get("status", "")).startswith("stopped"):
+            missing.append(f"the end of the tensile test of {name} after {time.label}")
         record = folder.read_record(place, "map")
         immersions.append(
             ImmersionResult(
@@ -176,7 +179,7 @@ def _read_alloy(
                 summary=rows[0] if rows else None,
                 curve=curve,
                 damage=damage,
-                tensile=_read_json(place / "tensile.json"),
+                tensile=tensile,
                 map_numbers=dict(record.numbers) if record else {},
             )
         )

@@ -281,11 +281,14 @@ def test_missing_parts_are_said(tmp_path, mesh):
     path = write_run(tmp_path / "run", scene_of(weeks=("0w", "4w")), *mesh)
     (path / "Mg-10Gd" / "4w" / "tensile.csv").unlink()
     (path / "Mg-10Gd" / "corrosion" / "history.csv").unlink()
+    stopped = json.dumps({"status": "stopped: no convergence at strain 0.02"})
+    (path / "Mg-5Gd" / "4w" / "tensile.json").write_text(stopped)
     (path / "geometry" / "mesh.h5").unlink()
     page, text = page_of(path)
     said = page.sections["missing"]
     assert "the tensile test of Mg-10Gd after 4w" in said
     assert "the course of corrosion of Mg-10Gd" in said
+    assert "the end of the tensile test of Mg-5Gd after 4w" in said
     assert "all pictures" in said and page.pictures == []
     assert "There are no pictures" in page.sections["pictures"]
 
