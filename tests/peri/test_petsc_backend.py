@@ -79,7 +79,8 @@ def test_march_agrees_with_the_embedded_solver(name, ranks, on_ranks, embedded):
     difference = np.abs(arrays[f"{name}/concentration"] - expected.concentration)
     assert difference.max() <= 1e-9 * solid
     np.testing.assert_array_equal(arrays[f"{name}/metal"], expected.metal)
-    np.testing.assert_allclose(arrays[f"{name}/volume_loss"], expected.volume_loss, atol=1e-9)
+    # measured 1.5e-13
+    np.testing.assert_allclose(arrays[f"{name}/volume_loss"], expected.volume_loss, atol=1e-11)
 
 
 @needs_mpirun
@@ -87,18 +88,19 @@ def test_march_agrees_with_the_embedded_solver(name, ranks, on_ranks, embedded):
 @pytest.mark.parametrize("name", rank_cases.MARCHES)
 def test_amounts_and_iterations_of_the_march(name, ranks, on_ranks, embedded):
     arrays, expected = on_ranks(ranks)[0], embedded[name].history
-    # round-off: the stages close their balance; measured XXX
-    assert np.abs(arrays[f"{name}/history/balance_error"]).max() < 1e-12
+    # round-off, as the stages close their balance: measured 2e-16
+    assert np.abs(arrays[f"{name}/history/balance_error"]).max() < 1e-14
     for field in ("time", "saturated_nodes", "dissolved_nodes"):
         np.testing.assert_array_equal(arrays[f"{name}/history/{field}"], expected[field])
     for field in ("metal_amount", "liquid_amount", "released_amount"):
         scale = expected["metal_amount"][0]
         values = arrays[f"{name}/history/{field}"]
         # as the concentrations
-        np.testing.assert_allclose(values, expected[field], atol=1e-9 * scale)
-    # another smoother: measured XXX
+        np.testing.assert_allclose(values, expected[field], rtol=0, atol=1e-10 * scale)
+    # PETSc's Chebyshev smoother is of the first kind: measured 90, 62, 132 in all, at most 6
+    # more than embedded
     iterations = arrays[f"{name}/history/iterations"].sum()
-    assert 0 < iterations <= 1.2 * expected["iterations"].sum() + 5
+    assert 0 < iterations <= 1.15 * expected["iterations"].sum()
 
 
 @needs_mpirun
@@ -113,10 +115,10 @@ def test_diffusion_system_on_ranks(stiffness, on_ranks):
         arrays = on_ranks(ranks)[0]
         x, count = arrays[f"diffusion/{stiffness:g}"], arrays[f"diffusion/{stiffness:g}/iterations"]
         print(stiffness, ranks, np.abs(x - expected).max() / np.abs(expected).max(), count, alone)
-        # residual 1e-10; measured XXX
-        np.testing.assert_allclose(x, expected, atol=1e-8 * np.abs(expected).max())
-        # measured XXX
-        assert 5 <= count <= alone + 4
+        # relative residual 1e-10: measured 8e-11
+        np.testing.assert_allclose(x, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+        # measured 10 to 13, as embedded (11 to 13)
+        assert 5 <= count <= alone + 3
 
 
 @needs_mpirun
@@ -131,8 +133,8 @@ def test_checkpoint_of_two_ranks_resumes_in_one_process(on_ranks, embedded):
     expected = embedded["line"]
     assert len(resumed.history["time"]) == len(expected.history["time"])
     solid = expected.scene.solid_concentration
-    # as the marches
-    assert np.abs(resumed.concentration - expected.concentration).max() <= 1e-9 * solid
+    difference = np.abs(resumed.concentration - expected.concentration).max()
+    assert difference <= rank_cases.SOLVER_TOLERANCE * solid  # as the marches
 
 
 @needs_mpirun
