@@ -58,6 +58,9 @@ occ = gmsh.model.occ
 STEP, BREP, STL = (".step", ".stp"), (".brep", ".brp"), (".stl",)
 STL_EDGE_ANGLE = math.radians(25.0)  # between triangles, from where on an edge of an STL is sharp
 
+# (2D algorithm, 3D algorithm, factor on both sizes): frontal 6, Delaunay 5; HXT 10, Delaunay 1
+MESH_ATTEMPTS = ((6, 10, 1.0), (6, 1, 1.0), (5, 10, 0.95), (6, 10, 0.9), (5, 1, 0.85))
+
 
 @contextmanager
 def _gmsh_session() -> Iterator[None]:
@@ -216,22 +219,17 @@ def tetrahedral_mesh(solid: Solid, size: float, size_fine: float | None = None) 
             f"{size * MM:.6g} mm."
         )
     reasons = []
-    # (2D algorithm, 3D algorithm, factor on both sizes): frontal 6, Delaunay 5; HXT 10, Delaunay 1
-    for plane, space, factor in (
-        (6, 10, 1.0),
-        (6, 1, 1.0),
-        (5, 10, 0.95),
-        (6, 10, 0.9),
-        (5, 1, 0.85),
-    ):
+    for plane, space, factor in MESH_ATTEMPTS:
         try:
             with _gmsh_session():
                 _load_solid(solid)
                 points, cells = _mesh_model(
                     size * factor * MM, size_fine * factor * MM, plane, space
                 )
-        except Exception as error:
-            reasons.append(str(error).strip())
+        except (MemoryError, RuntimeError):
+            raise
+        except Exception as error:  # gmsh raises nothing more specific
+            reasons.append(str(error).strip().split("\n")[0])
             logger.info("mesh attempt failed: %s", reasons[-1])
             continue
         quality = mesh_quality(points, cells, solid.volume)
@@ -254,7 +252,7 @@ def _mesh_model(
     points, index = _nodes()
     corner = gmsh.model.mesh.getElementsByType(4)[1]
     if not len(corner):
-        raise RuntimeError("gmsh made no tetrahedra")
+        raise ValueError("gmsh made no tetrahedra")
     cells = index[corner.astype(np.int64)].reshape(-1, 4)
     points, cells = _used_only(points, cells)
     for level in (points[:, 2].min(), points[:, 2].max()):

@@ -214,7 +214,7 @@ def test_lost_mass_at_standard(loss):
         points, weights, origin, 50e-6, concentration, metal, capacity, SOLID
     )
     assert report["lattice_lost_volume"] == pytest.approx(loss * reference_screw().volume, rel=0.01)
-    # measured +0.5, +0.6 and +0.5 %; of that 0.2 to 0.4 % is metal that the mesh has too much
+    # measured +0.9, +0.8 and +0.3 %; 0.2 % of it is volume that the mesh has too much
     assert abs(report["relative_difference"]) < 0.015
 
 
@@ -229,8 +229,8 @@ def test_restricted_loses_less_mass_than_fitted():
         )["relative_difference"]
         for method in METHODS
     }
-    assert abs(difference["restricted"]) < 0.02  # measured -0.3 %
-    assert 0.05 < difference["fitted"] < 0.15  # measured +10 %
+    assert abs(difference["restricted"]) < 0.02  # measured +0.8 %
+    assert 0.05 < difference["fitted"] < 0.15  # measured +8.9 %
 
 
 def test_lost_volumes_of_a_uniform_loss():
@@ -252,7 +252,7 @@ def test_a_million_points_per_second():
     map_damage(points, origin, 50e-6, concentration, metal, SOLID)
     rate = len(points) / (time.perf_counter() - start)
     assert len(points) > 1_000_000
-    assert rate > 1e6  # measured 4.7e6 on two idle cores
+    assert rate > 1e6  # measured 4e6 to 1e7 on two cores
 
 
 @pytest.mark.parametrize(
