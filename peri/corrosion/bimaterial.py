@@ -338,13 +338,25 @@ class BiMaterial:
         return new, self._release_rate(liquid, state, metal), theta
 
     def _settle_rate(self, state, theta, volume_loss, liquid) -> float:
-        """Fix point of loss -> kinetics -> metal -> loss for given liquid concentrations."""
+        """V_L that agrees with the rate it causes, for given liquid concentrations.
+
+        The metal's loss falls as V_L grows in the kinetics, so there is one such V_L in [0, 1]: a
+        secant kept inside its bracket.  (The plain fixed point jumps between two wrong values
+        where a step dissolves more than about l.)
+        """
+        low, high, last = 0.0, 1.0, None
         for _ in range(_MAXIMUM_ROUNDS):
             state.set(theta, self.base_diffusivity * self.scene.kinetics.factor(volume_loss))
             loss = self._loss_of(state.metal_concentration(liquid))
-            if abs(loss - volume_loss) <= 0.1 * _LOSS_TOLERANCE:
+            excess = loss - volume_loss
+            if abs(excess) <= 0.1 * _LOSS_TOLERANCE:
                 break
-            volume_loss = loss
+            low, high = (volume_loss, high) if excess > 0 else (low, volume_loss)
+            trial = loss
+            if last is not None and excess != last[1]:
+                trial = volume_loss - excess * (volume_loss - last[0]) / (excess - last[1])
+            last = volume_loss, excess
+            volume_loss = trial if low < trial < high else 0.5 * (low + high)
         return volume_loss
 
     def _loss_of(self, box_metal_concentration: np.ndarray) -> float:
