@@ -56,9 +56,6 @@ class ScrewParameters:
             object.__setattr__(
                 self, "minor_diameter", _micrometre(self.diameter - 1.0825318 * self.pitch)
             )
-        if self.root_diameter is None:
-            depth = self.diameter - self.minor_diameter + 0.1443376 * self.pitch
-            object.__setattr__(self, "root_diameter", _micrometre(self.diameter - depth))
         _range("minor_diameter", self.minor_diameter, 0.2 * self.diameter, 0.99 * self.diameter)
         if self.root_width <= 0.02 * self.pitch:
             allowed = self.diameter - (0.855 * self.pitch) / math.tan(self.thread_angle / 2)
@@ -66,6 +63,10 @@ class ScrewParameters:
                 f"minor_diameter is {self.minor_diameter * 1e3:.6g} mm: the flanks meet above it; "
                 f"allowed for this pitch and thread_angle is {allowed * 1e3:.6g} mm or more."
             )
+        if self.root_diameter is None:
+            # 0.0722 P for ISO; less where a wide thread_angle leaves a narrow root
+            depth = min(0.0721688 * self.pitch, 0.45 * self.root_width)
+            object.__setattr__(self, "root_diameter", _micrometre(self.minor_diameter - 2 * depth))
         # deeper than a half circle the root would undercut the flank
         deepest = self.minor_diameter - self.root_width
         _range(
