@@ -252,8 +252,9 @@ class BiMaterial:
                     active, self.take(y), needed, available, saturated
                 )
                 new_theta = np.where(self.box_liquid_volume > 0, new_theta, 0.0)
+                bonds_on = np.maximum(new_theta, 0.0)
                 mismatch = tau * self.processes.total(
-                    float((np.abs(new_theta - theta) * available)[active].sum())
+                    float((np.abs(bonds_on - theta) * available)[active].sum())
                 )
                 changed = self.processes.any(not np.array_equal(new_active, active))
                 settled &= not changed and mismatch <= 1e-9 * self.metal_scale * max(1e-3, loss)
@@ -263,7 +264,7 @@ class BiMaterial:
                     if tau * shortfall > 1e-9 * self.metal_scale:
                         raise BoundsError("saturation: the stage would need a negative inflow")
                     break
-                active, theta = new_active, new_theta
+                active, theta = new_active, bonds_on
             elif settled:
                 break
         if not settled:
@@ -274,7 +275,7 @@ class BiMaterial:
         # What an active node takes in is what the metal loses, to round-off.
         if complementary and self.processes.any(active.any()):
             metal = state.correct(metal, np.where(active, new_theta - theta, 0.0), saturated)
-            volume_loss, theta = self._loss_of(metal), new_theta
+            volume_loss, theta = self._loss_of(metal), bonds_on
         result = np.where(self.free, y, 0.0)
         view = result[self.window]
         view[self.box_metal[self.box.interior]] = metal[self.box_metal]
