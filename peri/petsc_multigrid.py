@@ -10,8 +10,9 @@ from peri import kernels
 from peri.solvers import coarsening_plan
 
 _SMOOTHING_STEPS = 2
-_SMOOTHED = "0.2,2.0"
-"""Part of the scaled operator's spectrum that a level's smoother damps."""
+_SMOOTHED = f"{1.25 - np.sqrt(5 / 8)},{1.25 + np.sqrt(5 / 8)}"
+"""Interval for which two of PETSc's Chebyshev steps (of the first kind) are the embedded solver's
+two of the fourth kind on (0, 2]: both have the roots (5 - sqrt 5) / 4 and (5 + sqrt 5) / 4."""
 _DIRECT_CELLS = 4000
 _PREFIX = "perilife_level_"
 
@@ -165,7 +166,7 @@ def _cycle(levels: list[_Level], steps, sink, faces, comm) -> PETSc.PC:
 
 
 def _set_chebyshev(smoother: PETSc.KSP) -> None:
-    """Two steps; Jacobi scales the spectrum into (0, 2] (Gershgorin)."""
+    """The embedded solver's smoothing; Jacobi scales the spectrum into (0, 2] (Gershgorin)."""
     smoother.setType(PETSc.KSP.Type.CHEBYSHEV)
     smoother.getPC().setType(PETSc.PC.Type.JACOBI)
     smoother.setNormType(PETSc.KSP.NormType.NONE)
