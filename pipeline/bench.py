@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from pipeline import machine
+from pipeline import bench_corrosion, machine
 from pipeline.progress import Progress
 
 ALLOYS = ["Mg-5Gd", "Mg-10Gd"]
@@ -116,4 +116,14 @@ BENCHMARKS: dict[str, Benchmark] = {
     "quick-stages": Benchmark(
         "the stages of the quick run: both alloys, 0 to 24 weeks", quick_stages
     ),
+    "stencil": Benchmark("bond sums per second, direct and by FFT", bench_corrosion.stencil),
+    "implicit": Benchmark("CG iterations and time per unknown", bench_corrosion.implicit),
+    "screw": Benchmark(
+        "the published full screw run, 2.14e6 nodes, 56 days (about an hour)",
+        bench_corrosion.screw,
+    ),
+    "pitting-step": Benchmark(
+        "explicit and implicit pitting on 128 x 128 x 64 nodes", bench_corrosion.pitting_step
+    ),
+    "scaling": Benchmark("cost against nodes and threads", bench_corrosion.scaling),
 }

@@ -68,6 +68,10 @@ def build_parser() -> argparse.ArgumentParser:
     bench = add("bench", _bench, "benchmarks of this machine")
     bench.add_argument("name", metavar="NAME", help="name of a benchmark, or list")
     bench.add_argument("--json", action="store_true", help="as one JSON object")
+    study = add("study", _study, "error against run time of a stage, as CSV and plot")
+    study.add_argument("what", choices=["corrosion"], help="the stage")
+    study.add_argument("--alloy", nargs="+", metavar="A", default=["Mg-5Gd", "Mg-10Gd"])
+    study.add_argument("--out", required=True, metavar="DIR", help="folder for the results")
     return parser
 
 
@@ -271,6 +275,27 @@ def _bench(options: argparse.Namespace) -> int:
         print(json.dumps(result, indent=2))
     else:
         print_result(result)
+    return 0
+
+
+def _study(options: argparse.Namespace) -> int:
+    from pipeline import study_corrosion as study
+    from pipeline.resolve import resolve_scene
+
+    for alloy in options.alloy:
+        resolve_scene([alloy], ["0w"], "quick")
+    rows = study.study_corrosion(options.alloy, lambda line: print(line, flush=True))
+    for alloy, curve, order in study.observed_orders(rows):
+        print(f"{alloy} {curve}: observed order {order:.2f}")
+    for alloy, wanted, row in study.cheapest(rows):
+        found = (
+            "not reached by any run"
+            if row is None
+            else f"{row.curve} {row.choice} on delta / {row.horizon_ratio:g}, {row.seconds:.2f} s"
+        )
+        print(f"{alloy} error {100 * wanted:g} %: {found}")
+    for path in study.write_study(rows, Path(options.out)):
+        print(path)
     return 0
 
 

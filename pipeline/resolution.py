@@ -23,7 +23,7 @@ class Resolution:
 
 RESOLUTIONS: dict[str, Resolution] = {
     "quick": Resolution(100e-6, 200e-6, 0.1, 0.30e-3, 0.20e-3, 0.005),
-    "standard": Resolution(50e-6, 200e-6, 0.05, 0.15e-3, 0.10e-3, 0.005),
+    "standard": Resolution(50e-6, 200e-6, 0.05, 0.12e-3, 0.07e-3, 0.005),
     "fine": Resolution(200e-6 / 6, 200e-6, 0.025, 0.08e-3, 0.05e-3, 0.0025),
 }
 
