@@ -63,7 +63,7 @@ def test_march_agrees_with_the_embedded_solver(name, ranks, on_ranks, embedded):
         assert expected.history["saturated_nodes"].max() > 0
     if name == "line":
         assert expected.history["dissolved_nodes"].sum() > 0
-    # the solver's tolerance: measured at most 9e-14, 4e-13 and 3e-16 of C_solid (ball, closed, line)
+    # the solver's tolerance: measured at most 9e-14, 4e-13, 3e-16 of it (ball, closed, line)
     difference = np.abs(arrays[f"{name}/concentration"] - expected.concentration)
     assert difference.max() <= rank_cases.SOLVER_TOLERANCE * solid
     np.testing.assert_array_equal(arrays[f"{name}/metal"], expected.metal)
