@@ -250,7 +250,9 @@ def _try_step(problem: BiMaterial, state: _State, scheme: str, step: float):
         new = second.concentration
         if not _out_of_bounds(problem, old, new):
             return new, [first, second], _relative_change(problem, old, new, old + rate)
-    except BoundsError as error:
+    except (BoundsError, ConvergenceError) as error:
+        # A right side above C_sat may have no solution at all, which a round of the active set
+        # cannot tell from slow progress; a first-order step always has one.
         log.debug("first-order step of %.3g s: %s", step, error)
     # The second-order method is not positive for steps that empty or fill a node; this one is.
     stage = problem.implicit_stage(old, step, guess, state.theta, state.volume_loss)
