@@ -1,7 +1,6 @@
 """From names to numbers: builds the resolved scene out of presets, data files and options."""
 
 import hashlib
-from dataclasses import replace
 from pathlib import Path
 
 import perilife_data
@@ -60,6 +59,12 @@ def resolve_scene(
     exponents = {float(parameters.for_alloy(a.name).kernel_exponent) for a in scenes}
     corrosion.setdefault("rate_change", preset.rate_change)
     corrosion.setdefault("kernel_exponent", exponents.pop() if len(exponents) == 1 else 0.0)
+    geometry = geometry or ScrewGeometry()
+    defaults = {
+        "element": preset.element,
+        "increment": preset.increment,
+        "top_grip": slot_depth(geometry),
+    }
     size = preset.mesh_size if mesh_size is None else mesh_size
     fine = preset.mesh_size_fine if mesh_size_fine is None else mesh_size_fine
     if mesh_size_fine is None and mesh_size is not None:
@@ -69,16 +74,24 @@ def resolve_scene(
     return Scene(
         resolution=resolution_name,
         parameter_set=parameter_set,
-        geometry=geometry or ScrewGeometry(),
+        geometry=geometry,
         immersion=times,
         alloys=scenes,
         lattice=LatticeSettings(spacing, horizon),
         domain=domain or DomainSettings(boundary=parameters.scene.boundary),
         corrosion=CorrosionSettings(**corrosion),
         mesh=MeshSettings(size, fine),
-        tensile=replace(TensileScene(increment=preset.increment), **(tensile or {})),
+        tensile=TensileScene(**{**defaults, **(tensile or {})}),
         measured_volume_loss=dict(measured_volume_loss or {}),
     )
+
+
+def slot_depth(geometry: ScrewGeometry | SolidFile) -> float:
+    """Length of the upper end that the grips hold unless the scene says otherwise (m).
+
+    The depth of the slot: the shank is tested, not the two prongs beside the slot.
+    """
+    return geometry.parameters.slot_depth if isinstance(geometry, ScrewGeometry) else 0.0
 
 
 def solid_file(path: str | Path, unit: str) -> SolidFile:

@@ -234,7 +234,7 @@ class TensileScene:
     by this fraction below its peak, or at the final strain; 1 asks for the whole curve.
     """
 
-    element: str = "P2"
+    element: str = "P1-Fbar"
     final_strain: float = 0.10
     increment: float = 0.005
     bottom_grip: float = 0.0

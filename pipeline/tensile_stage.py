@@ -243,6 +243,8 @@ def _environment(ranks: int, workers: int) -> dict[str, str]:
     environment.setdefault("OMP_WAIT_POLICY", "passive")
     environment["NUMBA_NUM_THREADS"] = str(max(1, cores // (ranks * workers)))
     environment["OMPI_MCA_rmaps_base_oversubscribe"] = "1"
+    # ranks that wait give their core away: on a busy machine spinning costs many times the work
+    environment["OMPI_MCA_mpi_yield_when_idle"] = "1"
     environment["OMPI_MCA_hwloc_base_binding_policy"] = "none"
     if os.geteuid() == 0:
         environment["OMPI_ALLOW_RUN_AS_ROOT"] = "1"
