@@ -75,9 +75,9 @@ class Ranks(OneProcess):
 
     def __init__(self, comm, scene: CorrosionScene | None) -> None:
         self.comm, self.is_root = comm, comm.rank == 0
-        octant, spacing, work = self.from_root((
-            scene.stencil.octant, scene.stencil.spacing, work_per_plane(scene.domain)
-        ) if self.is_root else None)
+        octant, spacing, work = self.on_root(
+            lambda: (scene.stencil.octant, scene.stencil.spacing, work_per_plane(scene.domain))
+        )
         reach = Stencil(octant, spacing).reach
         self.edges = share_out(work, max(reach), comm.size)
         self.shape = tuple(e[-1] for e in self.edges)
@@ -100,20 +100,19 @@ class Ranks(OneProcess):
 
     def local_scene(self, scene: CorrosionScene | None) -> CorrosionScene:
         """The scene of this rank's block, from rank 0's."""
-        common = self.from_root({
-            f.name: getattr(scene, f.name) for f in fields(scene) if f.name not in _ARRAYS
-        } if self.is_root else None)
+        common = self.on_root(
+            lambda: {f.name: getattr(scene, f.name) for f in fields(scene) if f.name not in _ARRAYS}
+        )
         lattice, lead = common.pop("lattice"), 3 - len(self.shape)
         start = self.start[lead:]
         origin = np.add(lattice.origin, np.multiply(start, lattice.spacing))
-        mine = {}
-        for name, values in (
-            ("metal", lambda: scene.metal),
-            ("domain", lambda: scene.domain),
-            ("cell_capacity", lambda: scene.capacity()),
-            ("held", lambda: scene.refreshed()),
-        ):
-            mine[name] = self.scatter(values() if self.is_root else None)
+        whole: dict[str, np.ndarray] = {}
+        self.on_root(lambda: whole.update(
+            metal=scene.metal, domain=scene.domain, cell_capacity=scene.capacity(),
+            held=scene.refreshed(),
+        ))  # fmt: skip
+        names = ("metal", "domain", "cell_capacity", "held")
+        mine = {name: self.scatter(whole.pop(name, None)) for name in names}
         block = Lattice(tuple(origin), lattice.spacing, self.block_shape)
         return _BlockScene(lattice=block, **common, **mine)
 
@@ -173,6 +172,19 @@ class Ranks(OneProcess):
     def from_root(self, value):
         """Rank 0's value."""
         return self.comm.bcast(value, root=0)
+
+    def on_root(self, action):
+        """The result of an action that rank 0 takes; what it raises is raised on all ranks."""
+        outcome, error = None, None
+        if self.is_root:
+            try:
+                outcome = action()
+            except Exception as caught:
+                error = caught
+        outcome, error = self.from_root((outcome, error))
+        if error is not None:
+            raise error
+        return outcome
 
     # --- preconditioner -------------------------------------------------------------------
 

@@ -10,6 +10,7 @@ whole lattice; petsc_backend.py has the same methods for MPI ranks.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 
 import numpy as np
 
@@ -56,6 +57,10 @@ class OneProcess:
     def from_root(self, value):
         """The root's value (any Python object)."""
         return value
+
+    def on_root(self, action: Callable[[], object]):
+        """The result of an action that the root takes; what it raises is raised everywhere."""
+        return action()
 
     def gather(self, values: np.ndarray) -> np.ndarray:
         """The whole lattice's array on the root (elsewhere an empty array)."""

@@ -107,8 +107,8 @@ def corrode(
             "scheme: 'sdirk2' with saturation 'as_published'; its switch lasts for a step, so "
             "use backward_euler with a fixed step"
         )
-    mark = (
-        results.fingerprint(scene, times, stepping, solver_tolerance) if processes.is_root else ""
+    mark = processes.on_root(
+        lambda: results.fingerprint(scene, times, stepping, solver_tolerance)
     )
     if stepping.scheme == "forward_euler":
         _check_explicit_step(problem, stepping)
@@ -127,11 +127,7 @@ def corrode(
                 processes.gather(problem.sum.crop(problem.metal)),
                 state.volume_loss,
             ))
-        if progress is not None and processes.is_root:
-            progress(
-                state.time / end if end > 0 else 1.0,
-                f"day {state.time / 86400:.1f}, volume loss {100 * state.volume_loss:.2f} %",
-            )
+        processes.on_root(lambda: _report(progress, state, end))
         if len(outputs) == times.size:
             break
         _advance(problem, state, stepping, times[len(outputs)])
@@ -148,6 +144,14 @@ def corrode(
         {name: np.array(values) for name, values in state.history.items()},
         clock.perf_counter() - started,
     )
+
+
+def _report(progress, state: _State, end: float) -> None:
+    if progress is not None:
+        progress(
+            state.time / end if end > 0 else 1.0,
+            f"day {state.time / 86400:.1f}, volume loss {100 * state.volume_loss:.2f} %",
+        )
 
 
 def _check_times(times) -> np.ndarray:
@@ -320,25 +324,16 @@ def _save(problem, state: _State, path: Path, fingerprint: str, outputs) -> None
     }
     if state.theta is not None:
         arrays["theta"] = gather(crop(problem.put(state.theta)))
-    if not problem.processes.is_root:
-        return
     for n, (concentration, metal, loss) in enumerate(outputs):
         arrays[f"output{n}/concentration"] = concentration
         arrays[f"output{n}/metal"] = metal
         arrays[f"output{n}/volume_loss"] = np.array(loss)
-    results.write_checkpoint(path, fingerprint, arrays)
+    problem.processes.on_root(lambda: results.write_checkpoint(path, fingerprint, arrays))
 
 
 def _restore(problem, path: Path, fingerprint: str, outputs) -> _State:
-    processes, arrays, error = problem.processes, {}, None
-    if processes.is_root:
-        try:
-            arrays = results.read_checkpoint(path, fingerprint)
-        except (ValueError, OSError) as caught:
-            error = caught
-    error = processes.from_root(error)
-    if error is not None:
-        raise error
+    processes, arrays = problem.processes, {}
+    processes.on_root(lambda: arrays.update(results.read_checkpoint(path, fingerprint)))
 
     def field_of(name: str) -> np.ndarray:
         return problem.sum.pad(processes.scatter(arrays.get(name)))

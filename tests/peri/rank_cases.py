@@ -89,7 +89,6 @@ def main(path: str) -> None:
     from mpi4py import MPI
 
     from peri import petsc_backend
-    from peri.corrosion import run
 
     comm, out = MPI.COMM_WORLD, {}
     root = comm.rank == 0
@@ -108,25 +107,22 @@ def main(path: str) -> None:
         x, count = solve(*diffusion_system(scene, ranks, stiffness), ranks)
         ranks.close()
         out[f"diffusion/{stiffness:g}"], out[f"diffusion/{stiffness:g}/iterations"] = x, count
-    # A march that stops after two steps leaves a checkpoint.
+    # A march that rank 0 stops after two steps leaves a checkpoint.
     make, times, stepping = MARCHES["line"]
-    advance, steps = run._advance, []
+    calls = []
 
-    def stop(*arguments):
-        steps.append(None)
-        if len(steps) > 2:
+    def stop_after_two_steps(fraction, text):
+        calls.append(fraction)
+        if len(calls) > 2:
             raise InterruptedError
-        advance(*arguments)
 
-    run._advance = stop
     try:
         petsc_backend.corrode(
             make() if root else None, times, stepping, solver_tolerance=SOLVER_TOLERANCE,
-            checkpoint=path + ".checkpoint", checkpoint_every=0.0,
+            progress=stop_after_two_steps, checkpoint=path + ".checkpoint", checkpoint_every=0.0,
         )  # fmt: skip
     except InterruptedError:
-        out["stopped"] = np.array(len(steps))
-    run._advance = advance
+        out["stopped"] = comm.gather(len(calls))
     # Blocks narrower than the reach.
     lattice = box_lattice((0.0,), (3e-6,), 1e-6)
     small = replace(line_scene(), lattice=lattice, metal=np.zeros(3, bool), domain=None)

@@ -112,7 +112,8 @@ def test_diffusion_system_on_ranks(stiffness, on_ranks):
 @needs_mpirun
 def test_checkpoint_of_two_ranks_resumes_in_one_process(on_ranks, embedded):
     arrays, checkpoint = on_ranks(2)
-    assert arrays["stopped"] == 3 and checkpoint.exists()
+    # What rank 0 raised in its third report reached rank 1, which reports nothing.
+    np.testing.assert_array_equal(arrays["stopped"], [3, 0])
     make, times, stepping = rank_cases.MARCHES["line"]
     resumed = corrode(
         make(), times, stepping, solver_tolerance=rank_cases.SOLVER_TOLERANCE,
