@@ -5,6 +5,7 @@ import numpy as np
 from pipeline.plan import scene_omissions
 from pipeline.resolution import RESOLUTIONS
 from pipeline.run_results import ImmersionResult, RunResults, column
+from pipeline.scene import Scene
 from pipeline.units import format_seconds
 from pipeline.wording import duration, percent
 
@@ -65,11 +66,39 @@ def error_estimate(run: RunResults) -> str:
     estimate = run.scene_extras.get("error_estimate")
     if estimate:
         return str(estimate)
-    name = run.scene.resolution
-    preset = f"the preset “{name}”" if name in RESOLUTIONS else "these settings"
     return (
-        f"The discretisation error of {preset} in the strength left has not been measured yet. "
+        f"The discretisation error of the resolution {settings_name(run.scene)}, in the strength "
+        "left, has not been measured yet. "
         "Until it is, read the numbers as a comparison of alloys and times, not as a prediction."
+    )
+
+
+def settings_name(scene: Scene) -> str:
+    """The preset of a scene by name, and whether the run departs from it."""
+    preset = RESOLUTIONS.get(scene.resolution)
+    own = {
+        "spacing": scene.lattice.spacing,
+        "horizon": scene.lattice.horizon,
+        "rate_change": scene.corrosion.rate_change,
+        "mesh_size": scene.mesh.size,
+        "mesh_size_fine": scene.mesh.size_fine,
+        "element": scene.tensile.element,
+        "increment": scene.tensile.increment,
+    }
+    changed = preset is None or any(getattr(preset, key) != value for key, value in own.items())
+    return f"“{scene.resolution}”, changed" if changed else f"“{scene.resolution}”"
+
+
+def in_short(run: RunResults, assumed: int) -> str:
+    """The doubts in one line, to stand right below the answer."""
+    known = run.scene_extras.get("error_estimate")
+    error = str(known) if known else "the discretisation error is not measured yet"
+    values = "value is" if assumed == 1 else "values are"
+    seconds = sum(record.seconds for _, record in run.records)
+    cost = f" The run took {format_seconds(seconds)}." if seconds else ""
+    return (
+        f"Resolution {settings_name(run.scene)}; {error}, and {assumed} {values} assumed, fitted "
+        f"or known to be wrong.{cost}"
     )
 
 

@@ -159,7 +159,7 @@ def force_elongation_plot(alloy: AlloyResult, name: str, most_force: float) -> s
     axes.set_ylabel("Force (N)")
     axes.set_ylim(0, 1.05 * most_force)
     axes.set_xlim(left=0)
-    _finish(axes, zero=False, legend="best", columns=2 if len(tested) > 3 else 1)
+    _finish(axes, zero=False, legend="outside", columns=4)
     return _svg(figure, f"curves-{name}", f"Force against elongation of {alloy.name}")
 
 
@@ -222,15 +222,13 @@ def _finish(axes: Axes, *, zero: bool, legend: str = "best", columns: int = 1) -
     if zero:
         axes.set_xlim(left=0)
         axes.set_ylim(bottom=0)
-    if axes.get_legend_handles_labels()[0]:
-        axes.legend(
-            loc=legend,
-            fontsize=8.5,
-            frameon=False,
-            labelcolor=_INK,
-            ncols=columns,
-            handlelength=2.4,
-        )
+    if not axes.get_legend_handles_labels()[0]:
+        return
+    look = {"fontsize": 8.5, "frameon": False, "labelcolor": _INK, "handlelength": 2.4}
+    if legend == "outside":
+        axes.figure.legend(loc="outside upper left", ncols=columns, columnspacing=1.2, **look)
+    else:
+        axes.legend(loc=legend, **look)
 
 
 def _svg(figure: Figure, name: str, label: str) -> str:

@@ -42,9 +42,17 @@ _UNITS = {
     "initial_yield_stress": "Pa",
     "hardening_capacity": "Pa",
 }
+_TITLES = {
+    "samples": "Samples per axis and cell",
+    "size": "Edge length",
+    "size_fine": "Edge length at thread and slot",
+    "step": "Fixed time step",
+    "rate_change": "Change of rate per time step",
+    "peak_drop": "Ends at this drop from the peak",
+}
 _LENGTHS = (
     "diameter length pitch minor_diameter root_diameter slot_width slot_depth spacing horizon "
-    "radial_margin axial_margin size size_fine"
+    "radial_margin axial_margin size size_fine bottom_grip top_grip"
 ).split()
 
 
@@ -275,13 +283,15 @@ def _shown(name: str, value: object) -> tuple[str, str]:
         return ("yes" if value else "no"), ""
     if not isinstance(value, int | float):
         return str(value).replace("_", " ") if name != "path" else str(value), ""
+    if name in _LENGTHS and value == 0:
+        return "0", ""
     if name in _LENGTHS:
         return (f"{value * 1e6:.4g}", "µm") if value < 1e-3 else (f"{value * 1e3:.4g}", "mm")
     if name == "thread_angle":
         return f"{math.degrees(value):.4g}", "°"
     if name == "step":
         return f"{value / 3600:.4g}", "h"
-    if name in ("final_strain", "increment"):
+    if name in ("final_strain", "increment", "peak_drop", "rate_change"):
         return f"{100 * value:.4g}", "%"
     unit = _UNITS.get(name, "")
     if unit == "Pa":
@@ -291,6 +301,8 @@ def _shown(name: str, value: object) -> tuple[str, str]:
 
 
 def _title(name: str) -> str:
+    if name in _TITLES:
+        return _TITLES[name]
     text = name.replace("_", " ")
     return text if name == "q1" else text[:1].upper() + text[1:]
 

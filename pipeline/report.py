@@ -91,7 +91,7 @@ def write_report(run_folder: Path | str) -> Path:
         solid=_solid_in_words(run),
         headlines=[headline(alloy) for alloy in run.alloys],
         parameter_set=_parameter_set(run),
-        preset=run.scene.resolution,
+        preset=doubts.settings_name(run.scene),
         table=[_table_row(a, i) for a in run.alloys for i in a.immersions if i.summary],
         pictures=_pictures(run, pictures),
         damage_ramp=_damage_ramp(),
@@ -99,6 +99,7 @@ def write_report(run_folder: Path | str) -> Path:
         measured=sorted(measured),
         checks=doubts.checks(run),
         error_estimate=doubts.error_estimate(run),
+        in_short=doubts.in_short(run, len(assumed)),
         twice_as_sure=doubts.twice_as_sure(run),
         omissions=doubts.omissions(run),
         alloys=names,
@@ -176,7 +177,8 @@ def _italic(text: str) -> Markup:
 
 
 def _unit(text: str) -> str:
-    """`mol/m^3` with a raised 3, `1e-5` left alone."""
+    """`mol/m^3` with a raised 3 and `um` with its Greek letter; `1e-5` is left alone."""
+    text = re.sub(r"\bum\b", "µm", text)
     raised = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
     return re.sub(r"\^(-?\d+)", lambda match: match.group(1).translate(raised), text)
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from pipeline import picture_set, pictures, plots, provenance, report, wording
+from pipeline import doubts, picture_set, pictures, plots, provenance, report, wording
 from pipeline.damage_map import compare_lost_volume
 from pipeline.resolve import resolve_scene
 from pipeline.run_folder import RunFolder, StageRecord
@@ -213,6 +213,8 @@ def test_the_answer_comes_first_one_sentence_for_each_alloy(full):
     assert "Mg-10Gd keeps 64 % of its strength after 8 weeks and 21 % after 24 weeks" in top
     # between 8 weeks (0.64) and 24 weeks (0.21): 8 + 16 * 0.14 / 0.43 = 13.2 weeks
     assert "gone after about 13 weeks" in top
+    assert "17 values are assumed, fitted or known to be wrong" in top
+    assert "The run took 3 min 03 s" in top  # 3 + 2 (40 + 4 (0.5 + 12))
 
 
 def test_table_pictures_and_curves_are_complete(full):
@@ -251,6 +253,11 @@ def test_doubt_and_cost_are_stated(full):
     assert "beyond reach" in sure and "0.042 % of the volume loss" in sure
     assert "needed" not in sure  # what was not left out is not listed
     assert "+0.54 %" in page.sections["made"]  # 9.3 / 9.25
+
+
+def test_a_run_that_departs_from_its_preset_does_not_bear_its_name_alone():
+    assert doubts.settings_name(scene_of()) == "“quick”"
+    assert doubts.settings_name(scene_of(mesh_size=0.19e-3)) == "“quick”, changed"
 
 
 def test_a_value_set_by_hand_is_not_given_a_source():
