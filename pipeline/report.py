@@ -11,6 +11,7 @@ import math
 import platform
 import re
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 
@@ -24,7 +25,7 @@ from pipeline import doubts, plots, provenance
 from pipeline.machine import describe_machine, package_versions
 from pipeline.picture_set import PictureSet, make_pictures, times_shown
 from pipeline.pictures import DAMAGE_COLOURS, MAXIMUM_DAMAGE, write_overview
-from pipeline.run_folder import REPORT_FILE, utc_now, write_text
+from pipeline.run_folder import REPORT_FILE, write_text
 from pipeline.run_results import AlloyResult, ImmersionResult, RunResults, read_run
 from pipeline.scene import ScrewGeometry
 from pipeline.units import format_bytes, format_length, format_seconds
@@ -115,7 +116,7 @@ def write_report(run_folder: Path | str) -> Path:
         references=references,
         numbers={key: n for n, key in enumerate(references, start=1)},
         missing=[*gathered(run.missing), *trouble],
-        created=utc_now().replace("T", " ").replace("Z", " UTC"),
+        created=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         folder=run.folder.resolve().name,
     )
     path = run.folder / REPORT_FILE
@@ -293,7 +294,7 @@ def _solid_rows(run: RunResults) -> list[tuple[str, str]]:
 def _difference(title: str, value: object, reference: object) -> list[tuple[str, str]]:
     if not (isinstance(value, float) and isinstance(reference, float) and reference > 0):
         return []
-    return [(title, f"{100 * (value / reference - 1):+.2f} %")]
+    return [(title, f"{round(100 * (value / reference - 1), 2) + 0.0:+.2f} %")]
 
 
 def _stage_times(run: RunResults) -> list[tuple[str, str, str]]:
