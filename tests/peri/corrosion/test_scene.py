@@ -83,6 +83,7 @@ def test_flux_of_a_flat_front_is_the_one_asked_for(dimension, ratio):
         solid_concentration=7e4,
         saturation_concentration=1e3,
         dissolution_flux=flux,
+        flux_calibration="axis",
     )
     # a column whose neighbourhood the box does not cut
     column = (slice(None),) + (ratio,) * (dimension - 1)
