@@ -74,7 +74,7 @@ def corrode(
     """March a corrosion scene to the times asked for.
 
     Conserved: metal + free liquid + released amount, to the linear solver's tolerance relative
-    to the initial metal (history["balance_error"]; tests/peri/test_conservation.py).
+    to the initial metal (history["balance_error"]; tests/peri/corrosion/test_run.py).
 
     Parameters
     ----------
