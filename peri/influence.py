@@ -85,6 +85,22 @@ class Stencil:
         """
         return float(0.5 * self._moment(1)[axis])
 
+    def mean_strength(self) -> float:
+        """Front strength averaged over all orientations of the front, 1/m.
+
+        The mean of max(xi . n, 0) over directions n is |xi| / 2, / pi, / 4 in 1D, 2D, 3D.  The
+        lattice counts an axis-parallel front low (15 % at delta = 2 dx in 3D, 3 % at 8 dx), so a
+        body with faces in all directions is better served by this than by `front_strength`.
+        """
+        grids = np.meshgrid(
+            *[h * np.arange(n) for h, n in zip(self.spacing, self.octant.shape, strict=True)],
+            indexing="ij",
+            sparse=True,
+        )
+        length = np.sqrt(sum(g**2 for g in grids))
+        share = {1: 0.5, 2: 1.0 / np.pi, 3: 0.25}[self.dimension]
+        return float(share * (self.multiplicity * self.octant * length).sum())
+
     def _moment(self, power: int) -> np.ndarray:
         weighted = self.multiplicity * self.octant
         out = np.empty(self.dimension)

@@ -79,10 +79,10 @@ def domain_lattice(scene: Scene, domain: LiquidDomain) -> tuple[Lattice, NDArray
 
 
 def dissolution_flux(parameters: CorrosionParameters, kernel_exponent: float) -> float:
-    """Flux of a flat front at zero volume loss that the published D_int stands for, mol/(m^2 s).
+    """Flux at zero volume loss that the published D_int stands for, mol/(m^2 s).
 
-    D_int C_solid S with the front strength S of the stencil on which D_int was calibrated
-    (MODEL.md 2, "What converges"); stated as a flux it does not change with the lattice.
+    D_int C_solid S with the front strength S (mean over orientations) of the stencil on which
+    D_int was calibrated; stated as a flux it does not change with the lattice.
     """
     spacing = parameters.calibration_spacing
     stencil = diffusion_stencil(
@@ -91,7 +91,7 @@ def dissolution_flux(parameters: CorrosionParameters, kernel_exponent: float) ->
         kernel_exponent,
         calibration=parameters.calibration,
     )
-    strength = stencil.front_strength()
+    strength = stencil.mean_strength()
     return parameters.interface_diffusivity * parameters.solid_concentration * strength
 
 

@@ -13,6 +13,7 @@ from peri.influence import Stencil, diffusion_stencil
 from peri.lattice import Lattice
 
 BOUNDARIES = ("refreshed", "no_flux")
+FLUX_CALIBRATIONS = ("isotropic", "axis")
 SATURATION_MODELS = ("complementarity", "as_published", "none")
 
 
@@ -45,6 +46,9 @@ class CorrosionScene:
         the flux i_0/(zF) of a flat front at zero volume loss into clean liquid, mol/(m^2 s), from
         which D_int follows for the stencil in use: flux = D_int C_solid S, S the stencil's
         front strength, so that lattice and horizon do not change the rate.
+    flux_calibration : {"isotropic", "axis"}
+        S as the mean over all orientations of the front (for bodies), or of a front along the
+        lattice's axes (exact for a flat front that lies so).
     kinetics : object with factor(volume_loss)
     kernel_exponent, influence, calibration :
         See influence.diffusion_stencil.
@@ -67,6 +71,7 @@ class CorrosionScene:
     liquid_diffusivity: float = 1e-9
     interface_diffusivity: float | None = None
     dissolution_flux: float | None = None
+    flux_calibration: str = "isotropic"
     kinetics: object = ConstantRate()
     kernel_exponent: float = 0.0
     influence: str = "constant"
@@ -86,7 +91,11 @@ class CorrosionScene:
             fraction = self.metal_fraction
             if fraction.shape != shape or not (fraction.min() >= 0 and fraction.max() <= 1):
                 raise ValueError(f"metal_fraction: it must be {shape} with values from 0 to 1")
-        for name, allowed in (("boundary", BOUNDARIES), ("saturation", SATURATION_MODELS)):
+        for name, allowed in (
+            ("boundary", BOUNDARIES),
+            ("saturation", SATURATION_MODELS),
+            ("flux_calibration", FLUX_CALIBRATIONS),
+        ):
             if getattr(self, name) not in allowed:
                 raise ValueError(
                     f"{name}: {getattr(self, name)!r}; allowed: {', '.join(allowed)}"
@@ -120,8 +129,9 @@ class CorrosionScene:
         """D_int at zero volume loss, m^2/s, given or derived from the dissolution flux."""
         if self.interface_diffusivity is not None:
             return self.interface_diffusivity
-        strength = np.mean([self.stencil.front_strength(a) for a in range(self.lattice.dimension)])
-        return self.dissolution_flux / (self.solid_concentration * float(strength))
+        return self.dissolution_flux / (
+            self.solid_concentration * front_strength(self.stencil, self.flux_calibration)
+        )
 
     def refreshed(self) -> np.ndarray:
         """Liquid nodes held at zero: those within the horizon of the domain's edge."""
@@ -153,6 +163,13 @@ class CorrosionScene:
             out *= total / out.sum()
         rest = np.where(self.domain, 1.0 - share, 0.0)
         return out + np.where(liquid, rest, 0.0) + _hand_over(np.where(metal, rest, 0.0), liquid)
+
+
+def front_strength(stencil: Stencil, flux_calibration: str) -> float:
+    """The strength S that turns a dissolution flux into D_int C_solid S, 1/m."""
+    if flux_calibration == "isotropic":
+        return stencil.mean_strength()
+    return float(np.mean([stencil.front_strength(a) for a in range(stencil.dimension)]))
 
 
 def _check_positive(name: str, value: float) -> None:
