@@ -10,20 +10,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from pipeline import bench_corrosion, machine
+from pipeline.bench_result import Result
 from pipeline.progress import Progress
 
 ALLOYS = ["Mg-5Gd", "Mg-10Gd"]
 TIMES = ["0w", "1w", "2w", "4w", "8w", "24w"]
-
-
-@dataclass(frozen=True)
-class Result:
-    """One measured quantity; target says what is asked of it, or None."""
-
-    quantity: str
-    value: float
-    unit: str
-    target: str | None = None
 
 
 @dataclass(frozen=True)

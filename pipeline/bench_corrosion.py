@@ -22,6 +22,7 @@ from peri.lattice import Lattice, ball, box_lattice, cylinder
 from peri.marching import TimeStepping
 from peri.operators import NonlocalSum
 from peri.solvers import DiffusionSystem
+from pipeline.bench_result import Result
 
 DAY = 86400.0
 PUBLISHED_SECONDS = {"Mg-5Gd": (75_741, 6_125), "Mg-10Gd": (20_677, 3_129)}
@@ -58,8 +59,6 @@ def peak_multiply_adds() -> float:
 
 def stencil() -> list:
     """Bond sums of the direct stencil and of the FFT on 128 x 128 x 128 nodes."""
-    from pipeline.bench import Result
-
     peak = peak_multiply_adds()
     results = [Result("measured peak multiply-adds", peak, "1/s")]
     shape = (128, 128, 128)
@@ -78,22 +77,24 @@ def stencil() -> list:
         results += [
             Result(f"m = {m} bonds per node", kernel.bonds, "1"),
             Result(f"m = {m} direct", bonds / times["direct"], "bonds/s", target),
-            Result(f"m = {m} direct over measured peak, one multiply-add a bond",
-                   bonds / times["direct"] / peak, "1"),
+            Result(
+                f"m = {m} direct over measured peak, one multiply-add a bond",
+                bonds / times["direct"] / peak,
+                "1",
+            ),
             Result(f"m = {m} direct time", times["direct"], "s"),
             Result(f"m = {m} FFT time", times["fft"], "s"),
         ]
         if crossover is None and times["fft"] < times["direct"]:
             crossover = m
-    results.append(Result("smallest measured m where the FFT is faster (0: none up to 8)",
-                          crossover or 0, "1"))
+    results.append(
+        Result("smallest measured m where the FFT is faster (0: none up to 8)", crossover or 0, "1")
+    )
     return results
 
 
 def implicit() -> list:
     """CG iterations to 1e-8 and time per unknown with a metal cylinder in the liquid ball."""
-    from pipeline.bench import Result
-
     results = []
     for spacing, m in ((100e-6, 2), (100e-6, 4), (50e-6, 2), (50e-6, 4)):
         for ratio in (1.0, 1e2, 1e4, 1e6):
@@ -132,10 +133,11 @@ def _one_solve(spacing: float, m: int, ratio: float) -> tuple[int, int, float]:
 
 def published_screw(alloy: str, m: int, spacing: float = 50e-6) -> CorrosionScene:
     """The full-resolution scene of Table 5.2: a ball of radius 4 mm about the screw."""
+    from dataclasses import replace
+
     from pipeline.corrosion_stage import corrosion_scene, metal_of
     from pipeline.geometry_stage import build_solid
     from pipeline.resolve import resolve_scene
-    from dataclasses import replace
 
     scene = resolve_scene([alloy], ["0w", "8w"], "standard")
     scene = replace(scene, lattice=replace(scene.lattice, spacing=spacing, horizon=m * spacing))
@@ -148,8 +150,6 @@ def published_screw(alloy: str, m: int, spacing: float = 50e-6) -> CorrosionScen
 
 def screw() -> list:
     """The published full screw run: 2.14e6 nodes, 56 days, both alloys, m = 2 and 4."""
-    from pipeline.bench import Result
-
     results = []
     for alloy, (full, multigrid) in PUBLISHED_SECONDS.items():
         results += [
@@ -166,19 +166,30 @@ def screw() -> list:
                 Result(f"{name}: steps", len(march.history["time"]) - 1, "1"),
                 Result(f"{name}: CG iterations", int(march.history["iterations"].sum()), "1"),
                 Result(f"{name}: volume loss", float(march.volume_loss[-1]), "1"),
-                Result(f"{name}: balance error",
-                       float(np.abs(march.history["balance_error"]).max()), "1", "<= 1e-10"),
+                Result(
+                    f"{name}: balance error",
+                    float(np.abs(march.history["balance_error"]).max()),
+                    "1",
+                    "<= 1e-10",
+                ),
             ]
             start = time.perf_counter()
             lean, omissions = corrode_lean(scene, [56 * DAY])
             if any(o.name == "liquid" and o.applied for o in omissions):
                 bound = max(o.bound for o in omissions)
                 results += [
-                    Result(f"{name}: without what it does not need",
-                           time.perf_counter() - start, "s", "<= 20"),
+                    Result(
+                        f"{name}: without what it does not need",
+                        time.perf_counter() - start,
+                        "s",
+                        "<= 20",
+                    ),
                     Result(f"{name}: bound of leaving it out", bound, "1"),
-                    Result(f"{name}: difference of volume loss, relative",
-                           abs(lean.volume_loss[-1] / march.volume_loss[-1] - 1), "1"),
+                    Result(
+                        f"{name}: difference of volume loss, relative",
+                        abs(lean.volume_loss[-1] / march.volume_loss[-1] - 1),
+                        "1",
+                    ),
                 ]
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     results.append(Result("peak memory", memory, "B", "<= 4e9"))
@@ -187,8 +198,6 @@ def screw() -> list:
 
 def pitting_step() -> list:
     """Explicit steps on 128 x 128 x 64 nodes of dissolving 304 steel, horizon 3 spacings."""
-    from pipeline.bench import Result
-
     spacing, shape = 2e-6, (128, 128, 64)
     lattice = Lattice((0.0,) * 3, (spacing,) * 3, shape)
     x, y, z = lattice.coordinates()
@@ -230,20 +239,28 @@ def scaling() -> list:
     """Cost of one implicit solve against nodes, and of the bond sum on one and two threads."""
     import numba
 
-    from pipeline.bench import Result
-
     results = []
     for spacing in (400e-6, 200e-6, 100e-6, 50e-6):
         unknowns, iterations, seconds = _one_solve(spacing, 2, 1e4)
-        results.append(Result(f"implicit solve, {unknowns} unknowns, {iterations} iterations",
-                              1e6 * seconds / unknowns, "us per unknown"))
+        results.append(
+            Result(
+                f"implicit solve, {unknowns} unknowns, {iterations} iterations",
+                1e6 * seconds / unknowns,
+                "us per unknown",
+            )
+        )
     shape = (128, 128, 128)
     operator = NonlocalSum(diffusion_stencil(Lattice((0.0,) * 3, (1.0,) * 3, shape), 4.0), shape)
     field, out = operator.pad(np.ones(shape)), np.zeros(operator.padded_shape)
     threads = numba.get_num_threads()
     for n in sorted({1, threads}):
         numba.set_num_threads(n)
-        results.append(Result(f"bond sum m = 4, 2.1e6 nodes, threads {n}",
-                              _median_time(lambda: operator(field, out)), "s"))
+        results.append(
+            Result(
+                f"bond sum m = 4, 2.1e6 nodes, threads {n}",
+                _median_time(lambda: operator(field, out)),
+                "s",
+            )
+        )
     numba.set_num_threads(threads)
     return results
