@@ -272,6 +272,7 @@ class BiMaterial:
                 f"saturation: the active set did not settle in {_MAXIMUM_ROUNDS} rounds at a "
                 f"step of {tau:.3g} s"
             )
+        release = self._release_rate(y, state, metal)
         # What an active node takes in is what the metal loses, to round-off.
         if complementary and self.processes.any(active.any()):
             metal = state.correct(metal, np.where(active, new_theta - theta, 0.0), saturated)
@@ -279,16 +280,16 @@ class BiMaterial:
         result = np.where(self.free, y, 0.0)
         view = result[self.window]
         view[self.box_metal[self.box.interior]] = metal[self.box_metal]
-        release = self._release_rate(y, state, metal)
         self._close_balance(result, old, tau * release, active)
         return Stage(result, theta, volume_loss, release, total_iterations, rounds)
 
     def _close_balance(self, result, old, released: float, active) -> None:
-        """Scale the liquid so that the stage's amounts add up to round-off.
+        """Scale the liquid (or the metal) so that the stage's amounts add up to round-off.
 
         What is missing is the sum of the linear solver's residual, which would add up over the
         steps (and is the solver's round-off, not its tolerance, for very stiff ones).  The factor
-        differs from 1 by no more than that; where the liquid is too clean to hold it, it stays.
+        differs from 1 by no more than that.  Where the liquid is too clean to hold it, or all of
+        it is held at C_sat, the metal takes it, as less than 1e-9 of itself.
         """
         total = self.processes.total
         held = self.put(active) > 0
@@ -299,6 +300,10 @@ class BiMaterial:
         missing = -total(float(change.sum())) - released / self.scene.lattice.cell_volume
         if liquid > 0 and abs(missing) <= 1e-6 * liquid:
             result[solved] *= 1.0 + missing / liquid
+            return
+        metal = total(float(content[self.metal].sum()))
+        if metal > 0 and abs(missing) <= 1e-9 * metal:
+            result[self.metal] *= 1.0 + missing / metal
 
     def explicit_step(
         self, old: np.ndarray, step: float, volume_loss: float

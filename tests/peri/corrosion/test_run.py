@@ -33,13 +33,14 @@ def check_invariants(scene, result):
     # metal + liquid + released: measured at most 3e-11 (where the liquid is too clean to close
     # the balance of a step with), mostly 1e-15
     assert np.abs(history["balance_error"]).max() <= 1e-10
-    # the stage knows V_L to 1e-9: measured -3.3e-11 in liquid that is full
-    assert np.diff(history["volume_loss"]).min(initial=0.0) >= -1e-9
     assert 0 <= history["volume_loss"].min() and history["volume_loss"].max() <= 1
     assert result.concentration.min() >= -1e-12 * solid
     assert result.concentration.max() <= solid * (1 + 1e-12)
     if scene.saturation == "complementarity":
         liquid = result.concentration[~result.metal]
+        # the stage knows V_L to 1e-9: measured -3.3e-11 in liquid that is full.  Without a bound on
+        # the liquid it may fall: what left one node can return to another that has less
+        assert np.diff(history["volume_loss"]).min(initial=0.0) >= -1e-9
         # solver tolerance beyond the metal's reach: measured 3.2e-10
         assert liquid.max(initial=0.0) <= saturated * (1 + 1e-8)
 
