@@ -289,7 +289,8 @@ class BiMaterial:
         What is missing is the sum of the linear solver's residual, which would add up over the
         steps (and is the solver's round-off, not its tolerance, for very stiff ones).  The factor
         differs from 1 by no more than that.  Where the liquid is too clean to hold it, or all of
-        it is held at C_sat, the metal takes it, as less than 1e-9 of itself.
+        it is held at C_sat, what the metal loses takes it (or, at rest, less than 1e-9 of the
+        metal), so that no node rises above its old value.
         """
         total = self.processes.total
         held = self.put(active) > 0
@@ -302,7 +303,10 @@ class BiMaterial:
             result[solved] *= 1.0 + missing / liquid
             return
         metal = total(float(content[self.metal].sum()))
-        if metal > 0 and abs(missing) <= 1e-9 * metal:
+        lost = -total(float(change[self.metal].sum()))
+        if lost > 0 and abs(missing) <= 1e-3 * lost:
+            result[self.metal] += missing / lost * (old - result)[self.metal]
+        elif missing < 0 and -missing <= 1e-9 * metal:
             result[self.metal] *= 1.0 + missing / metal
 
     def explicit_step(
