@@ -75,7 +75,7 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
         "--peak-drop",
         type=float,
         metavar="X",
-        help="end a test when the force has fallen by this fraction (0.5); 1: the whole curve",
+        help="end a test when the force has fallen by this fraction (0.05); 1: the whole curve",
     )
     tensile.add_argument("--final-strain", type=float, metavar="X", help="nominal (0.1)")
     tensile.add_argument("--increment", type=float, metavar="X", help="largest strain increment")

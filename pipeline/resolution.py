@@ -14,7 +14,8 @@ class Resolution:
 
     Intact screw gripped beyond the slot, force at 10 % strain against 448.4 N of P2 on 7,320
     cells: P1-Fbar 2.3, 1.8, 0.9 % above it on 7,320, 12,067, 30,139 cells at 6, 9, 28 s of one
-    core; P2 on 3,698 cells 0.2 % above it at 16 s; P1 locks (8 to 10 % above it).
+    core; P2 on 3,698 cells 0.2 % above it at 16 s; P1 locks (8 to 10 % above it).  After 4
+    weeks P1-Fbar on 12,067 cells found no equilibrium at 1.3 % strain, P2 passed its peak.
     """
 
     spacing: float
@@ -27,9 +28,9 @@ class Resolution:
 
 
 RESOLUTIONS: dict[str, Resolution] = {
-    "quick": Resolution(100e-6, 200e-6, 0.1, 0.20e-3, 0.15e-3, "P1-Fbar", 0.005),
-    "standard": Resolution(50e-6, 200e-6, 0.05, 0.12e-3, 0.07e-3, "P1-Fbar", 0.005),
-    "fine": Resolution(200e-6 / 6, 200e-6, 0.025, 0.08e-3, 0.05e-3, "P1-Fbar", 0.0025),
+    "quick": Resolution(100e-6, 200e-6, 0.1, 0.40e-3, 0.30e-3, "P2", 0.005),
+    "standard": Resolution(50e-6, 200e-6, 0.05, 0.20e-3, 0.12e-3, "P2", 0.005),
+    "fine": Resolution(200e-6 / 6, 200e-6, 0.025, 0.12e-3, 0.08e-3, "P2", 0.0025),
 }
 
 

@@ -234,13 +234,13 @@ class TensileScene:
     by this fraction below its peak, or at the final strain; 1 asks for the whole curve.
     """
 
-    element: str = "P1-Fbar"
+    element: str = "P2"
     final_strain: float = 0.10
     increment: float = 0.005
     bottom_grip: float = 0.0
     top_grip: float = 0.0
     lateral: str = "free"
-    peak_drop: float = 0.5
+    peak_drop: float = 0.05
 
     def __post_init__(self) -> None:
         _one_of("element", self.element, tuple(ELEMENTS))
