@@ -26,6 +26,7 @@ from fem.constitutive.gurson import (
     Q3,
     RESIDUAL_STRENGTH,
     SHEAR,
+    STIFFENING,
     return_map,
 )
 from fem.constitutive.hardening import Hardening, VoceHardening, flow_stress
@@ -197,7 +198,15 @@ def update_point(
                 principal[a, b] = bulk * (1.0 - d_a) - 2.0 / 3.0 * shear * beta
                 principal[a, b] += 2.0 * shear * deviator[a] * d_beta
             principal[a, a] += 2.0 * shear * beta
-        spatial_tangent(principal, stretches, vectors, 2.0 * shear * beta, tangent, dyad[0], dyad[1])
+        # share of the elastic tangent, which Newton asks for where its steps go astray
+        share = material[STIFFENING]
+        if share > 0.0:
+            for a in range(3):
+                for b in range(3):
+                    elastic_part = bulk + (4.0 if a == b else -2.0) / 3.0 * shear
+                    principal[a, b] += share * (elastic_part - principal[a, b])
+        ratio = 2.0 * shear * (beta + share * (1.0 - beta))
+        spatial_tangent(principal, stretches, vectors, ratio, tangent, dyad[0], dyad[1])
     finite = np.isfinite(pressure) and np.isfinite(final) and np.isfinite(new_strain)
     return finite, new_strain, new_damage, stored, dissipated, final, pressure
 
