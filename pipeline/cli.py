@@ -151,21 +151,23 @@ def _interrupted(options: argparse.Namespace) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from pipeline.life_cycle import LifeCycle
-    from pipeline.opening import open_run
+    from pipeline.life_cycle import run_life_cycle
     from pipeline.options import scene_from_options
     from pipeline.progress import progress_for
+    from pipeline.run_folder import RunFolder
 
     _check_counts(options)
     scene = scene_from_options(options)
-    with (
-        open_run(scene, options.out, options.resume) as (folder, solid),
-        progress_for(sys.stderr, options.quiet) as progress,
-    ):
-        cycle = LifeCycle(
-            scene, folder, ranks=options.np, workers=options.pulls, progress=progress, solid=solid
+    folder = RunFolder(options.out)
+    with progress_for(sys.stderr, options.quiet) as progress:
+        rows = run_life_cycle(
+            scene,
+            folder,
+            resume=options.resume,
+            ranks=options.np,
+            workers=options.pulls,
+            progress=progress,
         )
-        rows = cycle.run()
     _print_summary(rows)
     print(f"\ntable:  {folder.summary_file}")
     if folder.report_file.exists():
@@ -243,7 +245,7 @@ def _plan(options: argparse.Namespace) -> int:
     from pipeline.options import scene_from_options
     from pipeline.plan import make_plan, print_plan
 
-    plan = make_plan(scene_from_options(options))
+    plan = make_plan(scene_from_options(options), with_march=True)
     if options.json:
         print(json.dumps(plan.to_json(), indent=2))
     else:

@@ -5,15 +5,17 @@ of one alloy and writes checkpoint, fields, history.csv and the ParaView series.
 """
 
 import logging
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from peri.corrosion.kinetics import VolumeLossLaw
-from peri.corrosion.run import CorrosionResult, corrode
+from peri.corrosion.planning import Omission, corrode_lean, plan_omissions
+from peri.corrosion.run import CorrosionResult
 from peri.corrosion.scene import CorrosionScene
 from peri.influence import diffusion_stencil
 from peri.lattice import Lattice, ball, box_lattice, cylinder
@@ -138,6 +140,23 @@ def metal_of(
     )
 
 
+def march_omissions(scene: Scene, solid: Solid) -> list[tuple[str, Omission]]:
+    """What the march of each alloy would leave out or needs, with its bound: (alloy, omission)."""
+    lattice, domain = domain_lattice(scene, liquid_domain(scene, solid.points))
+    metal, fraction = metal_of(scene, lattice, solid)
+    end = max(time.seconds for time in scene.immersion)
+    return [
+        (alloy.name, omission)
+        for alloy in scene.alloys
+        for omission in plan_omissions(
+            corrosion_scene(scene, alloy.name, lattice, domain, metal, fraction),
+            end,
+            scene.corrosion.tolerance,
+            scene.corrosion.keep,
+        )
+    ]
+
+
 def corrode_in_folder(
     scene: Scene,
     alloy: str,
@@ -159,8 +178,8 @@ def corrode_in_folder(
     checkpoint = out / CHECKPOINT_FILE
     times = [time.seconds for time in scene.with_intact()]
 
-    def march(resume: bool) -> CorrosionResult:
-        return corrode(
+    def march(resume: bool) -> tuple[CorrosionResult, list[Omission]]:
+        return corrode_lean(
             corrosion,
             times,
             TimeStepping(
@@ -168,6 +187,8 @@ def corrode_in_folder(
                 step=scene.corrosion.step,
                 rate_change=scene.corrosion.rate_change,
             ),
+            tolerance=scene.corrosion.tolerance,
+            refused=scene.corrosion.keep,
             progress=advanced,
             checkpoint=checkpoint,
             resume=resume,
@@ -175,13 +196,13 @@ def corrode_in_folder(
         )
 
     try:
-        result = march(checkpoint.exists())
+        result, omissions = march(checkpoint.exists())
     except (ValueError, OSError):
         if not checkpoint.exists():
             raise
         logger.warning("%s is not of this march; it starts anew", checkpoint)
         checkpoint.unlink()
-        result = march(False)
+        result, omissions = march(False)
     write_corrosion(out / CORROSION_FILE, result)
     write_history(out / HISTORY_FILE, result.history)
     write_image_series(out, result)
@@ -196,5 +217,8 @@ def corrode_in_folder(
         "bonds_per_node": corrosion.stencil.bonds,
         "dissolution_flux": corrosion.dissolution_flux,
         "interface_diffusivity": corrosion.base_interface_diffusivity(),
+        "omissions": [
+            {**asdict(o), "bound": o.bound if math.isfinite(o.bound) else None} for o in omissions
+        ],
     }
     return [out / CORROSION_FILE, out / HISTORY_FILE], numbers

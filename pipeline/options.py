@@ -58,6 +58,18 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
     corrosion.add_argument("--scheme", metavar="S", help=", ".join(TIME_SCHEMES))
     corrosion.add_argument("--saturation", metavar="S", help=", ".join(SATURATIONS))
     corrosion.add_argument("--calibration", metavar="C", help=", ".join(CALIBRATIONS))
+    corrosion.add_argument(
+        "--tolerance",
+        type=float,
+        metavar="X",
+        help="of V_L, within which the march leaves out what it does not need (0.001)",
+    )
+    corrosion.add_argument(
+        "--keep",
+        nargs="+",
+        metavar="WHAT",
+        help="compute all the same, of what `perilife plan` lists as left out: liquid",
+    )
     corrosion.add_argument("--domain", metavar="SHAPE", help=", ".join(DOMAIN_SHAPES))
     corrosion.add_argument("--boundary", metavar="B", help=", ".join(BOUNDARIES))
     corrosion.add_argument("--radial-margin", metavar="LENGTH", help="liquid beside the solid")
@@ -98,7 +110,10 @@ def scene_from_options(options: argparse.Namespace) -> Scene:
         saturation="saturation",
         calibration="calibration",
         rate_change="rate_change",
+        tolerance="tolerance",
     )
+    if options.keep:
+        corrosion["keep"] = tuple(options.keep)
     if options.step is not None:
         corrosion["step"] = parse_time(options.step, "step").seconds
     tensile = given(

@@ -11,7 +11,7 @@ import numpy as np
 from fem.quadrature import ELEMENTS
 from peri.influence import diffusion_stencil
 from pipeline import machine
-from pipeline.corrosion_stage import domain_lattice, liquid_domain
+from pipeline.corrosion_stage import domain_lattice, liquid_domain, march_omissions
 from pipeline.scene import Scene, SceneError
 from pipeline.surface import Solid
 from pipeline.units import format_bytes, format_length, format_seconds
@@ -69,9 +69,9 @@ class Cost:
     and bytes per unknown of one process; mesh: seconds per cell; disk: bytes per node and time.
     """
 
-    corrosion_seconds_per_node: float = 2.0e-4
+    corrosion_seconds_per_node: float = 1.1e-4
     corrosion_bytes_per_node: float = 600.0
-    tensile_seconds_per_unknown: float = 3.0e-3
+    tensile_seconds_per_unknown: float = 2.0e-3
     tensile_bytes_per_unknown: float = 1.0e4
     mesh_seconds_per_cell: float = 5.0e-5
     solid_seconds: float = 5.0
@@ -83,8 +83,16 @@ class Cost:
 COST = Cost()
 
 
-def make_plan(scene: Scene, solid: Solid | None = None, workers: int | None = None) -> Plan:
+def make_plan(
+    scene: Scene,
+    solid: Solid | None = None,
+    workers: int | None = None,
+    with_march: bool = False,
+) -> Plan:
     """Plan a scene; builds the solid when it is not given.
+
+    with_march: also find out what each march can leave out and with which bound; this solves for
+    the bound of the liquid's concentration once per alloy.
 
     Raises ValueError with one sentence when the lattice is too coarse for the solid.
     """
@@ -144,7 +152,9 @@ def make_plan(scene: Scene, solid: Solid | None = None, workers: int | None = No
     )
     return Plan(
         tasks=tuple(tasks),
-        omissions=tuple(scene_omissions(scene)),
+        omissions=tuple(
+            scene_omissions(scene) + (_march_omissions(scene, solid) if with_march else [])
+        ),
         nodes=nodes,
         unknowns=unknowns,
         seconds=sum(task.seconds for task in tasks),
@@ -256,6 +266,20 @@ def _mesh_counts(scene: Scene, solid: Solid) -> tuple[int, int, int]:
     element = ELEMENTS[scene.tensile.element]
     points = cells / 4.5 if element.order == 1 else 1.6 * cells
     return cells, 3 * round(points), cells * element.points
+
+
+def _march_omissions(scene: Scene, solid: Solid) -> list[Omission]:
+    found = []
+    for alloy, omission in march_omissions(scene, solid):
+        if omission.applied:
+            text = f"at most {100 * omission.bound:.2g} % of V_L"
+        elif np.isfinite(omission.bound):
+            text = f"kept; leaving it out would cost up to {100 * omission.bound:.2g} % of V_L"
+        else:
+            text = "kept"
+        name = omission.name.replace("_", " ")
+        found.append(Omission(f"{alloy}: {name}", omission.reason, text))
+    return found
 
 
 def scene_omissions(scene: Scene) -> list[Omission]:

@@ -14,7 +14,9 @@ import typing
 from dataclasses import dataclass, field
 
 from fem.quadrature import ELEMENTS
+from peri.corrosion.planning import DEFAULT_TOLERANCE, LIQUID, SOLID_CORE
 from peri.marching import SCHEMES as TIME_SCHEMES
+from pipeline.machine import version
 from pipeline.screw import ScrewParameters
 from pipeline.units import ImmersionTime, format_length
 
@@ -109,6 +111,8 @@ class CorrosionSettings:
     """How the bi-material model is solved: time stepping, saturation, stencil constants.
 
     step: fixed time step (s); None lets rate_change control it (peri.marching.TimeStepping).
+    tolerance: error of V_L, relative, up to which the march leaves out what the scene does not
+    need (peri.corrosion.planning); keep: what to compute all the same.
     """
 
     scheme: str = "sdirk2"
@@ -118,10 +122,15 @@ class CorrosionSettings:
     calibration: str = "discrete"
     influence: str = "constant"
     kernel_exponent: float = 0.0
+    tolerance: float = DEFAULT_TOLERANCE
+    keep: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.step is not None:
             _positive("corrosion step", self.step)
+        _check(0 <= self.tolerance < 1, "tolerance", self.tolerance, "in [0, 1)")
+        for name in self.keep:
+            _one_of("keep", name, (LIQUID, SOLID_CORE))
         _check(0 < self.rate_change <= 1, "rate change", self.rate_change, "in (0, 1]")
         _one_of("time scheme", self.scheme, TIME_SCHEMES)
         _one_of("saturation", self.saturation, SATURATIONS)
@@ -334,18 +343,23 @@ def content_hash(*parts: object) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
+def _stage_hash(*parts: object) -> str:
+    """Hash of a stage's inputs; another version of perilife may compute other numbers."""
+    return content_hash(version(), *parts)
+
+
 def geometry_hash(scene: Scene) -> str:
     """What the solid and its mesh depend on; a solid file counts by its content."""
     geometry = dataclasses.asdict(scene.geometry)
     geometry.pop("path", None)
-    return content_hash("geometry", geometry, dataclasses.asdict(scene.mesh))
+    return _stage_hash("geometry", geometry, dataclasses.asdict(scene.mesh))
 
 
 def corrosion_hash(scene: Scene, alloy: str) -> str:
     """What the corrosion march of one alloy depends on; the mesh is not part of it."""
     geometry = dataclasses.asdict(scene.geometry)
     geometry.pop("path", None)
-    return content_hash(
+    return _stage_hash(
         "corrosion",
         geometry,
         dataclasses.asdict(scene.lattice),
@@ -358,7 +372,7 @@ def corrosion_hash(scene: Scene, alloy: str) -> str:
 
 def map_hash(scene: Scene, alloy: str, time: ImmersionTime) -> str:
     """What the damage map of one alloy and time depends on."""
-    return content_hash(
+    return _stage_hash(
         "map",
         geometry_hash(scene),
         corrosion_hash(scene, alloy),
@@ -370,7 +384,7 @@ def map_hash(scene: Scene, alloy: str, time: ImmersionTime) -> str:
 
 def pull_hash(scene: Scene, alloy: str, time: ImmersionTime) -> str:
     """What the tensile test of one alloy and time depends on."""
-    return content_hash(
+    return _stage_hash(
         "pull",
         map_hash(scene, alloy, time),
         dataclasses.asdict(scene.alloy(alloy).material),
