@@ -1,4 +1,4 @@
-"""Finite-strain damage plasticity and the tensile test (MODEL.md 6-7).
+"""Finite-strain damage plasticity and the tensile test.
 
 The package needs NumPy and Numba for the material, PETSc and dolfinx for the solution; it knows
 nothing of corrosion or of geometry. Give it a tetrahedral mesh, a damage field at the quadrature

@@ -213,7 +213,7 @@ def _kinematics(start, stop, mesh, deformation, inverse, jacobian, spatial):
 def _add_stiffness(
     weight, averaged, nodes, place, spatial, mean_gradient, stress, tangent, extra, local
 ):
-    """Add one point: g_a . (c - tau (x) 1) . g_b, and with F-bar (c:1/3 - tau) g_a (x) (gm_b - g_b)."""
+    """Add one point: g_a . (c - tau (x) 1) . g_b; F-bar adds (c:1/3 - tau) g_a (x) (gm_b - g_b)."""
     nn = place.size
     if averaged:
         for a in range(nn):
@@ -296,9 +296,7 @@ def multiply(row_start, columns, values, vector, result):
 
 @njit(cache=True, nogil=True)
 def constrain(row_start, columns, values, fixed, scale):
-    """Replace rows and columns of fixed unknowns (n, 3 bool) by `scale` on the diagonal.
-
-    """
+    """Replace rows and columns of fixed unknowns (n, 3 bool) by `scale` on the diagonal."""
     for row in range(row_start.size - 1):
         start, blocks = row_start[row], row_start[row + 1] - row_start[row]
         for i in range(3):

@@ -53,7 +53,9 @@ def distribute(
 
     if comm.rank == 0:
         ranks, offsets = destinations
-        plan = graph.create_adjacencylist(np.asarray(ranks, np.int32), np.asarray(offsets, np.int32))
+        plan = graph.create_adjacencylist(
+            np.asarray(ranks, np.int32), np.asarray(offsets, np.int32)
+        )
         points = np.ascontiguousarray(points, float)
         cells = np.ascontiguousarray(cells, np.int64)
     else:

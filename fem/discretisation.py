@@ -52,7 +52,7 @@ class Groups:
 
 
 def build(mesh: LocalMesh, element: Element, groups: np.ndarray, threads: int) -> Discretisation:
-    """Prepare a local mesh for assembly with up to `threads` threads; groups: (nl,) patch numbers."""
+    """Prepare a local mesh for assembly with `threads` threads; groups: (nl,) patch numbers."""
     height = mesh.coordinates[mesh.cells[:, :4], 2].mean(axis=1)
     _, group = np.unique(groups, return_inverse=True)
     group_height = np.bincount(group, height) / np.maximum(np.bincount(group), 1)

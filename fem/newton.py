@@ -117,7 +117,9 @@ class EquilibriumSolver:
         """Iterate from a predicted displacement (fixed unknowns already in place)."""
         result, failed, norm, axial = self._assemble(displacement)
         if failed:
-            return Equilibrium(False, 0, 0.0, 0.0, 0.0, "inverted cell in the prediction"), displacement
+            return Equilibrium(
+                False, 0, 0.0, 0.0, 0.0, "inverted cell in the prediction"
+            ), displacement
         first = norm
         self.assembler.material[STIFFENING] = 0.0
         for iteration in range(self.maximum_iterations + 1):

@@ -14,7 +14,9 @@ import numpy as np
 EDGES = np.array([(2, 3), (1, 3), (1, 2), (0, 3), (0, 2), (0, 1)])
 FACES = np.array([(1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2)])
 # d(lambda)/dX on the reference tetrahedron, vertex by direction
-_BARYCENTRIC_GRADIENT = np.array([(-1.0, -1.0, -1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
+_BARYCENTRIC_GRADIENT = np.array(
+    [(-1.0, -1.0, -1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)]
+)
 _A = (5.0 - np.sqrt(5.0)) / 20.0
 _FOUR_POINTS = np.full((4, 4), _A) + np.eye(4) * (1.0 - 4.0 * _A)
 

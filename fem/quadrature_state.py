@@ -24,7 +24,11 @@ class Fields:
         """Undeformed material with damage variable f (nl, nq)."""
         shape = damage.shape
         return cls(
-            identity_plastic(shape), np.zeros(shape), damage.copy(), np.zeros(shape), np.zeros(shape)
+            identity_plastic(shape),
+            np.zeros(shape),
+            damage.copy(),
+            np.zeros(shape),
+            np.zeros(shape),
         )
 
     def copy(self) -> Fields:

@@ -28,7 +28,9 @@ class Grips:
         for name in ("bottom_length", "top_length"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0):
-                raise ValueError(f"grip {name} is {value}; it must be zero or a positive length in m")
+                raise ValueError(
+                    f"grip {name} is {value}; it must be zero or a positive length in m"
+                )
         if self.lateral not in ("free", "clamped"):
             raise ValueError(f"grip lateral is {self.lateral!r}; allowed are 'free' and 'clamped'")
 
@@ -117,7 +119,7 @@ def remains(cells: np.ndarray, alive: np.ndarray, bottom: np.ndarray, top: np.nd
 def guide_vertices(
     points: np.ndarray, cells: np.ndarray, pieces: np.ndarray, bottom: np.ndarray
 ) -> list[tuple[int, int]]:
-    """Vertices and directions (0 = x, 1 = y) whose guidance removes the rigid motions of each piece.
+    """Vertices and directions (0 = x, 1 = y) whose guidance removes each piece's rigid motions.
 
     Three conditions per piece, at two vertices of its bottom grip: they are statically determinate,
     so they carry no force where none is applied laterally.

@@ -68,7 +68,9 @@ class TensileSettings:
         ):
             value = getattr(self, name)
             if not low < value <= high:
-                raise ValueError(f"tensile {name} is {value}; it must be above {low} and at most {high}")
+                raise ValueError(
+                    f"tensile {name} is {value}; it must be above {low} and at most {high}"
+                )
         if not self.minimum_increment <= self.first_increment:
             raise ValueError(
                 f"tensile first_increment is {self.first_increment}; it must be at least "
@@ -145,8 +147,14 @@ def tensile_test(
     summary = comm.bcast(prepared.summary() if comm.rank == 0 else None)
     if summary["severed"]:
         zero = np.zeros(1)
-        status = "fully_corroded" if summary["counts"]["dead_cells"] == summary["counts"]["cells"] else "severed"
-        return TensileResult(zero, zero.copy(), summary["held"].length, 0.0, 0.0, status, **summary["counts"])
+        status = (
+            "fully_corroded"
+            if summary["counts"]["dead_cells"] == summary["counts"]["cells"]
+            else "severed"
+        )
+        return TensileResult(
+            zero, zero.copy(), summary["held"].length, 0.0, 0.0, status, **summary["counts"]
+        )
     return _Test(comm, prepared, summary, material, settings, element).run(progress)
 
 
@@ -184,7 +192,9 @@ def _prepare(points, cells, f0, material, grips, element, ranks) -> _Prepared:
     points = np.ascontiguousarray(points, float)
     cells = np.ascontiguousarray(cells, np.int64)
     if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
-        raise ValueError(f"points have shape {points.shape}; finite (n, 3) coordinates in m are needed")
+        raise ValueError(
+            f"points have shape {points.shape}; finite (n, 3) coordinates in m are needed"
+        )
     if cells.ndim != 2 or cells.shape[1] != 4 or not len(cells):
         raise ValueError(f"cells have shape {cells.shape}; (nc, 4) vertex numbers are needed")
     if cells.min() < 0 or cells.max() >= len(points):
@@ -222,7 +232,9 @@ def _prepare(points, cells, f0, material, grips, element, ranks) -> _Prepared:
 class _Test:
     """One test on one communicator."""
 
-    def __init__(self, comm, prepared, summary, material, settings: TensileSettings, element: Element):
+    def __init__(
+        self, comm, prepared, summary, material, settings: TensileSettings, element: Element
+    ):
         self.started = time.perf_counter()
         self.comm, self.settings, self.summary = comm, settings, summary
         self.prepared, self.held = prepared, summary["held"]
@@ -314,10 +326,14 @@ class _Test:
                 self._row(strain * length, outcome.force, outcome.iterations, halvings, work,
                           outcome.stored, dissipated)
             )  # fmt: skip
-            log.info("strain %.5f force %.5g N, %d iterations", strain, outcome.force, outcome.iterations)
+            log.info(
+                "strain %.5f force %.5g N, %d iterations", strain, outcome.force, outcome.iterations
+            )
             peak = max(peak, outcome.force)
             if progress is not None and self.comm.rank == 0:
-                progress(strain / s.maximum_strain, f"strain {strain:.4f}, force {outcome.force:.4g} N")
+                progress(
+                    strain / s.maximum_strain, f"strain {strain:.4f}, force {outcome.force:.4g} N"
+                )
             if self._remove_dead():
                 previous = None
                 if self._parted():

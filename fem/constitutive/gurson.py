@@ -181,7 +181,9 @@ def _bracketed(volume, mises, jacobian, strain, damage, material, kind, hardenin
     flow_now, _ = flow_stress(kind, hardening, strain)
     if a != 0.0 and (beta == 0.0 or beta == 1.0 or mises <= 1e-9 * jacobian * flow_now):
         # the yield surface alone fixes a (no trial deviator): the ratio follows from R1
-        flow, _, _ = _system(a, 0.0, volume, mises, jacobian, strain, damage, material, kind, hardening)
+        flow, _, _ = _system(
+            a, 0.0, volume, mises, jacobian, strain, damage, material, kind, hardening
+        )
         beta = -flow[0] / (a - flow[0])
     return a, beta
 

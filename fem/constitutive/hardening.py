@@ -45,10 +45,15 @@ class VoceHardening:
 
     def __post_init__(self) -> None:
         _require(np.isfinite(self.s0) and self.s0 > 0, "s0", self.s0, "a positive stress in Pa")
-        _require(np.isfinite(self.Q) and self.Q >= 0, "Q", self.Q, "zero or a positive stress in Pa")
+        _require(
+            np.isfinite(self.Q) and self.Q >= 0, "Q", self.Q, "zero or a positive stress in Pa"
+        )
         _require(np.isfinite(self.b) and self.b > 0, "b", self.b, "a positive number")
         _require(
-            np.isfinite(self.linear) and self.linear >= 0, "linear", self.linear, "zero or positive, in Pa"
+            np.isfinite(self.linear) and self.linear >= 0,
+            "linear",
+            self.linear,
+            "zero or positive, in Pa",
         )
 
     def parameters(self) -> np.ndarray:
@@ -85,7 +90,9 @@ class TabulatedHardening:
 
     def __post_init__(self) -> None:
         strain, stress = np.asarray(self.strains, float), np.asarray(self.stresses, float)
-        _require(strain.ndim == 1 and len(strain) == len(stress) >= 1, "table", len(strain), "pairs")
+        _require(
+            strain.ndim == 1 and len(strain) == len(stress) >= 1, "table", len(strain), "pairs"
+        )
         _require(strain[0] == 0, "first strain", strain[0], "0")
         _require(bool(np.all(np.diff(strain) > 0)), "strains", self.strains, "increasing")
         _require(
@@ -121,7 +128,9 @@ def flow_stress(kind: int, parameters: np.ndarray, strain: float) -> tuple[float
             low = middle
         else:
             high = middle
-    slope = (parameters[size + high] - parameters[size + low]) / (parameters[high] - parameters[low])
+    slope = (parameters[size + high] - parameters[size + low]) / (
+        parameters[high] - parameters[low]
+    )
     return parameters[size + low] + slope * (strain - parameters[low]), slope
 
 
@@ -129,7 +138,7 @@ def fit_voce(yield_stress: float, ultimate_stress: float, uniform_strain: float)
     """Fit Voce's law through yield, Considere's condition and the ultimate strength.
 
     With e = ln(1 + uniform_strain) and true stress s = ultimate_stress (1 + uniform_strain), the law
-    must give s(e) = s and ds/de(e) = s (MODEL.md 7). With s0 = yield_stress this leaves one equation
+    must give s(e) = s and ds/de(e) = s. With s0 = yield_stress this leaves one equation
     for x = b e: x / (exp(x) - 1) = s e / (s - s0), which has one positive root when s e < s - s0.
 
     Stresses in Pa (engineering), strain engineering. Raises ValueError where no such law exists.
@@ -140,7 +149,9 @@ def fit_voce(yield_stress: float, ultimate_stress: float, uniform_strain: float)
             "0 < yield < ultimate is needed"
         )
     if not 0 < uniform_strain < 1:
-        raise ValueError(f"uniform strain is {uniform_strain}; it must be in (0, 1), as engineering strain")
+        raise ValueError(
+            f"uniform strain is {uniform_strain}; it must be in (0, 1), as engineering strain"
+        )
     strain = np.log1p(uniform_strain)
     stress = ultimate_stress * (1.0 + uniform_strain)
     ratio = stress * strain / (stress - yield_stress)

@@ -15,7 +15,7 @@ _SWEEPS = 30
 
 @njit(cache=True, nogil=True)
 def eigen_symmetric(matrix: np.ndarray, values: np.ndarray, vectors: np.ndarray) -> None:
-    """Fill `values` (3,) and `vectors` (3,3; columns) of a symmetric `matrix`; it is overwritten."""
+    """Fill `values` (3,) and `vectors` (3,3; columns) of `matrix`, which is overwritten."""
     for i in range(3):
         for j in range(3):
             vectors[i, j] = 1.0 if i == j else 0.0
@@ -65,7 +65,7 @@ def log_divided_difference(first: float, second: float) -> float:
 
 @njit(cache=True, nogil=True)
 def invert(matrix: np.ndarray, inverse: np.ndarray) -> float:
-    """Fill the inverse of a 3x3 matrix and return its determinant (0 leaves the inverse as it was)."""
+    """Fill the inverse of a 3x3 matrix; return its determinant (0 leaves the inverse)."""
     c00 = matrix[1, 1] * matrix[2, 2] - matrix[1, 2] * matrix[2, 1]
     c01 = matrix[1, 2] * matrix[2, 0] - matrix[1, 0] * matrix[2, 2]
     c02 = matrix[1, 0] * matrix[2, 1] - matrix[1, 1] * matrix[2, 0]

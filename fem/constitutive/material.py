@@ -1,8 +1,8 @@
 """The material: parameters for the reader, and its update at one quadrature point.
 
 Multiplicative split F = Fe Fp, Hencky's law tau = K tr(eps) 1 + 2 G dev(eps) in the elastic
-logarithmic strain, porous plasticity by `gurson.return_map` in principal axes. The internal variable
-of the flow is Cp^-1 (six numbers), so that no earlier F is needed:  b_trial = F Cp^-1 F^T.
+logarithmic strain, porous plasticity by `gurson.return_map` in principal axes. The internal
+variable of the flow is Cp^-1 (six numbers), so that no earlier F is needed:  b_trial = F Cp^-1 F^T.
 """
 
 from __future__ import annotations
@@ -30,7 +30,13 @@ from fem.constitutive.gurson import (
     return_map,
 )
 from fem.constitutive.hardening import Hardening, VoceHardening, flow_stress
-from fem.constitutive.hencky import eigen_symmetric, from_principal, invert, push_forward, spatial_tangent
+from fem.constitutive.hencky import (
+    eigen_symmetric,
+    from_principal,
+    invert,
+    push_forward,
+    spatial_tangent,
+)
 
 
 def _require(condition: bool, field: str, value: object, allowed: str) -> None:
@@ -61,7 +67,12 @@ class Material:
     failure: float | None = None
 
     def __post_init__(self) -> None:
-        _require(np.isfinite(self.young) and self.young > 0, "young", self.young, "a positive modulus in Pa")
+        _require(
+            np.isfinite(self.young) and self.young > 0,
+            "young",
+            self.young,
+            "a positive modulus in Pa",
+        )
         _require(-1 < self.poisson < 0.5, "poisson", self.poisson, "above -1 and below 0.5")
         _require(1 < self.q1 < 10, "q1", self.q1, "above 1 and below 10")
         _require(0 < self.q2 <= 2, "q2", self.q2, "above 0 and at most 2")
@@ -72,7 +83,10 @@ class Material:
             "at least 0 and below 1/q1",
         )
         _require(
-            self.nucleation_deviation > 0, "nucleation_deviation", self.nucleation_deviation, "positive"
+            self.nucleation_deviation > 0,
+            "nucleation_deviation",
+            self.nucleation_deviation,
+            "positive",
         )
         _require(
             (self.coalescence is None) == (self.failure is None),
@@ -107,7 +121,9 @@ class Material:
         vector[LIMIT] = effective_limit
         if self.coalescence is not None and self.failure is not None:
             vector[COALESCENCE] = self.coalescence
-            vector[ACCELERATION] = (1.0 / self.q1 - self.coalescence) / (self.failure - self.coalescence)
+            vector[ACCELERATION] = (1.0 / self.q1 - self.coalescence) / (
+                self.failure - self.coalescence
+            )
             vector[LIMIT] = (
                 self.coalescence + (effective_limit - self.coalescence) / vector[ACCELERATION]
             )

@@ -7,7 +7,9 @@ from itertools import permutations
 import numpy as np
 
 
-def box(shape: tuple[int, int, int], size: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
+def box(
+    shape: tuple[int, int, int], size: tuple[float, float, float]
+) -> tuple[np.ndarray, np.ndarray]:
     """Kuhn's six tetrahedra per brick: points (n, 3) [m], cells (6 nx ny nz, 4)."""
     nx, ny, nz = shape
     axes = [np.linspace(0.0, s, n + 1) for s, n in zip(size, shape, strict=True)]
@@ -27,7 +29,7 @@ def box(shape: tuple[int, int, int], size: tuple[float, float, float]) -> tuple[
 def round_bar(
     across: int, along: int, radius: float, length: float, waist: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A bar of circular section (square mapped to disc), its radius reduced by `waist` at z = L/2."""
+    """A bar of circular section (square mapped to disc), thinner by `waist` at z = L/2."""
     points, cells = box((across, across, along), (2.0, 2.0, length))
     x, y = points[:, 0] - 1.0, points[:, 1] - 1.0
     largest = np.maximum(abs(x), abs(y))

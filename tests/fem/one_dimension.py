@@ -1,6 +1,6 @@
 """Uniaxial tension of the porous material by an ordinary differential equation, independent of fem.
 
-Written from MODEL.md 7 with the stresses themselves as unknowns of a root search and the plastic
+Written with the stresses themselves as unknowns of a root search and the plastic
 multiplier as time; shares no formula in code with the return mapping.
 """
 

@@ -13,7 +13,7 @@ RNG = np.random.default_rng(11)
 
 
 def test_closed_forms_of_the_yield_surface():
-    """MODEL.md 7, stress over yield stress at q1 = 1.5."""
+    """Stress over yield stress at q1 = 1.5."""
     assert uniaxial_yield(MATERIAL, 0.1) == pytest.approx(0.83428, abs=5e-6)  # digits printed
     assert uniaxial_yield(MATERIAL, 0.3) == pytest.approx(0.52130, abs=5e-6)
     hydrostatic = 2 / 3 * np.arccosh((1 + 0.15**2) / 0.3)
@@ -27,7 +27,7 @@ def test_closed_forms_of_the_yield_surface():
 
 
 def _random_trials(count):
-    """Trial states from hardly plastic to 10 % strain at once, tension and compression, f to f_max."""
+    """Trial states from hardly plastic to 10 % strain at once, both signs, f to f_max."""
     size = 10 ** RNG.uniform(-4, -1, count)
     volume = size * RNG.uniform(-1, 1, count) * RNG.choice([1.0, 0.1, 1e-4, 0.0], count)
     mises = 3 * PARAMETERS[SHEAR] * size * RNG.choice([1.0, 1e-3, 0.0], count, p=[0.8, 0.1, 0.1])
@@ -102,4 +102,6 @@ def test_nucleation_and_coalescence():
     assert p[LIMIT] < 0.25
     # (5.40) with f* = 1/q1 at f = failure: strength gone
     assert uniaxial_yield(material, 0.25) < 1e-6
-    assert uniaxial_yield(material, 0.15) == pytest.approx(uniaxial_yield(MATERIAL, 0.15), rel=1e-12)
+    assert uniaxial_yield(material, 0.15) == pytest.approx(
+        uniaxial_yield(MATERIAL, 0.15), rel=1e-12
+    )

@@ -15,7 +15,13 @@ def _rotation():
 
 @pytest.mark.parametrize(
     "stretches",
-    [(1.0, 1.0, 1.0), (2.0, 1.0, 1.0), (1.0, 1.0 + 1e-9, 1.0 - 1e-12), (1e-6, 1.0, 1e6), (3.0, 2.0, 0.5)],
+    [
+        (1.0, 1.0, 1.0),
+        (2.0, 1.0, 1.0),
+        (1.0, 1.0 + 1e-9, 1.0 - 1e-12),
+        (1e-6, 1.0, 1e6),
+        (3.0, 2.0, 0.5),
+    ],
 )
 def test_decomposition_reproduces_the_matrix(stretches):
     for _ in range(20):

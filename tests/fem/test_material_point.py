@@ -69,7 +69,7 @@ def _states(kind, n):
 @pytest.mark.parametrize("kind", ["elastic", "plastic", "near_equal_stretches"])
 @pytest.mark.parametrize("loaded", [False, True])
 def test_taylor_slope_of_the_tangent(kind, loaded):
-    """Remainder tau(F + h dF) - tau(F) - h c:l falls as h^2, after a first plastic step if loaded."""
+    """Remainder tau(F + h dF) - tau(F) - h c:l falls as h^2; `loaded`: after a plastic step."""
     n = 40
     material = Material(43e9, 0.3, LAW)
     gradients, damage = _states(kind, n)
