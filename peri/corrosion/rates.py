@@ -62,7 +62,7 @@ def sphere_curvature_factor(horizon: float, radius: float) -> float:
 
 
 def flat_front_profile(depth, horizon: float):
-    """Loss per flux at a depth below a flat front, 1/m (document 001, Eqs 18-20, in 2D).
+    """Loss per flux at a depth below a flat front, 1/m (Zhao et al. 2021, Eqs 18-20, in 2D).
 
     f(z) = 2 / delta^2 (delta acos(z/delta) - z ln(delta/z + tan acos(z/delta))), which
     integrates to 1 over 0 < z < delta.
@@ -78,7 +78,7 @@ def flat_front_profile(depth, horizon: float):
 
 
 def flat_front_quadrature_error(ratio: int) -> float:
-    """Relative error of the flux when the profile is summed over nodes (document 001, Table 2).
+    """Relative error of the flux when the profile is summed over nodes (Zhao et al. 2021, Table 2).
 
     ratio : m = delta / dx; nodes at depths (k + 1/2) dx.
     """

@@ -2,9 +2,8 @@
 
 Where the liquid stays far below C_sat and C_solid, a metal node obeys C_i' = -lambda_i g(V_L) C_i
 with lambda_i its interface bond sum, so C_i = C_solid exp(-lambda_i s) and s' = g(V_L(s)): the
-whole problem is one ordinary differential equation (MODEL: bi-material corrosion, well-stirred
-limit).  It serves as an oracle for every solver, and in place of the march where a bound on the
-liquid's concentration allows it (corrosion.planning).
+whole problem is one ordinary differential equation.  It serves as an oracle for every solver, and
+in place of the march where a bound on the liquid's concentration allows it (corrosion.planning).
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ def lattice_of(*spacing):
 @pytest.mark.parametrize(
     ("dimension", "exponent", "influence", "expected"),
     [
-        # micro-diffusivities D K of documents 000 (corrected, ERRATA) and 002, D = 1
+        # micro-diffusivities D K of Jafarzadeh et al. 2022 (corrected) and the dissertation, D = 1
         (3, -0.5, "constant", lambda d: 9 / (2 * np.pi * d**3)),  # kernel 1/xi^2, Table 4.1
         (3, 0.0, "constant", lambda d: 3 / (np.pi * d**2)),  # Eq. 2.72
         (3, 0.25, "constant", lambda d: 3 * 0.75 / (np.pi * d**1.5)),

@@ -81,7 +81,7 @@ def test_family_of_an_ellipsoid_follows_its_direction():
     # 6 and 2 spacings on the axes; at the horizon itself beta is 1/2 (Eq. 3.2), to round-off
     assert bonds.offsets[along_x].max() == 6 and bonds.offsets[along_z].max() == 2
     assert bonds.volume_correction[along_x][-1] == pytest.approx(0.5, abs=1e-12)
-    # document 000, Eq. 15: 1/delta^2 = sum n_a^2 / delta_a^2
+    # Jafarzadeh et al. 2022, Eq. 15: 1/delta^2 = sum n_a^2 / delta_a^2
     direction = bonds.bond / bonds.bond_length[:, None]
     expected = (direction**2 / np.array([0.6, 0.3, 0.2]) ** 2).sum(axis=1) ** -0.5
     np.testing.assert_allclose(bonds.direction_horizon, expected, rtol=1e-14)  # round-off

@@ -28,7 +28,7 @@ def pin(dimension=3, cells=10, ratio=2, **options):
 
 
 def clean_liquid_loss(scene, times):
-    """V_L where the liquid stays clean (MODEL.md 2): one scalar equation, solved to 1e-12.
+    """V_L where the liquid stays clean: one scalar equation, solved to 1e-12.
 
     C_i = C_solid exp(-lambda_i s), s' = g(V_L(s)), lambda_i the node's interface bond sum.
     """

@@ -19,7 +19,7 @@ def test_values():
     assert Tafel(-0.06, 0.06).factor(0.3) == pytest.approx(0.1, rel=1e-14)
     # Eq. 3.92 at 25 C: z F eta / RT = 2 * 0.1 / 0.025693 for 0.1 V
     thermal = GAS_CONSTANT * 298.15 / FARADAY
-    assert thermal == pytest.approx(25.693e-3, rel=2e-5)  # digits of MODEL.md
+    assert thermal == pytest.approx(25.693e-3, rel=2e-5)  # RT/F at 25 C, five digits
     law = ButlerVolmer(0.1, 2.0, 0.3, 0.6, 298.15)
     expected = math.exp(0.06 / thermal) - math.exp(-0.12 / thermal)
     assert law.factor(0.0) == pytest.approx(expected, rel=1e-14)  # round-off

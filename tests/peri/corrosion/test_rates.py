@@ -1,4 +1,4 @@
-"""The rate of a front: orientation, sphere, document 001's profile, travelling front."""
+"""The rate of a front: orientation, sphere, Zhao et al.'s profile, travelling front."""
 
 import math
 

@@ -98,7 +98,7 @@ def test_conservation_in_other_dimensions_and_with_cut_cells(dimension):
 
 
 def test_clean_liquid_against_the_exact_limit():
-    """The well-stirred oracle of MODEL.md 2 to 1e-6 of V_L = 4 and 11 %, and orders in time."""
+    """The well-stirred oracle to 1e-6 of V_L = 4 and 11 %, and orders in time."""
     scene = pin(saturation_concentration=0.66, liquid_diffusivity=1e-7)
     times = [WEEK, 8 * WEEK]
     exact = clean_liquid_loss(scene, times)
@@ -180,7 +180,7 @@ def test_interface_diffusivity_to_infinity_is_the_stefan_problem():
 
 
 def test_saturation_and_the_step():
-    """A small version of MODEL.md's table: V_L after 14 days for steps of 48, 12 and 3 h."""
+    """Saturation against the step: V_L after 14 days for steps of 48, 12 and 3 h."""
     losses = {}
     for saturation in ("complementarity", "as_published"):
         scene = pin(
