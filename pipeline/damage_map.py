@@ -1,4 +1,4 @@
-"""Corrosion damage from the lattice to the quadrature points of the mesh (MODEL.md 6, Eq. 5.43)."""
+"""Corrosion damage from the lattice to the quadrature points of the mesh (Eq. 5.43)."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ def map_in_folder(
     """Map the field of one immersion time and write damage.h5; returns the files and numbers.
 
     The numbers hold the mean of f0 over the mesh and the volumes lost on lattice and mesh, the
-    latter before f0 is cut off at 1/q1 (MODEL.md 6).
+    latter before f0 is cut off at 1/q1.
     """
     mesh = read_mesh(geometry)
     fields = read_corrosion(corrosion / CORROSION_FILE)

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
-#: Corrosion damage at which the metal carries nothing, 1/q1 with q1 = 1.5 (MODEL.md 6).
+#: Corrosion damage at which the metal carries nothing, 1/q1 with q1 = 1.5.
 MAXIMUM_DAMAGE = 2.0 / 3.0
 #: What is given per cell is averaged at the nodes and so reaches the maximum only in the middle of
 #: what is gone; it counts as gone from this share of the maximum on.

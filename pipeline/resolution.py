@@ -8,7 +8,7 @@ class Resolution:
     """Sizes and steps of one preset, SI.
 
     spacing: lattice spacing; horizon: thickness of the corroded layer, a material length
-    that stays the same in all presets (MODEL.md 2); rate_change: what controls the time step
+    that stays the same in all presets; rate_change: what controls the time step
     (peri.marching); mesh_size, mesh_size_fine: edge length in the bulk and at thread and slot;
     element and increment (largest, nominal strain) of the tensile test.
 

@@ -110,7 +110,7 @@ def _alloy_scene(name: str, parameter_set: perilife_data.ParameterSet) -> AlloyS
     """The constants of one alloy: corrosion from the parameter set, mechanics from its file.
 
     The hardening curve is Voce's, fitted through yield stress, ultimate strength and uniform
-    strain (MODEL.md 7).
+    strain.
     """
     alloy = perilife_data.load_alloy(name)
     fitted = parameter_set.for_alloy(alloy.name)

@@ -181,7 +181,7 @@ def _hand_over(fraction, metal):
 
 
 def _corroded(spacing, loss, horizon=200e-6):
-    """A screw that lost a share of its mass: MODEL.md 2, the well-stirred limit.
+    """A screw that lost a share of its mass: the well-stirred limit.
 
     C = C_solid exp(-lambda s), lambda the sum of 1/|xi|^3 over the liquid nodes in the horizon.
     """
