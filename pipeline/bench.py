@@ -56,14 +56,14 @@ def print_result(result: dict) -> None:
 
 def quick_stages() -> list[Result]:
     """The stages of the quick run of both alloys, 0 to 24 weeks, in a temporary folder."""
-    from pipeline.life_cycle import LifeCycle
+    from pipeline.life_cycle import LifeCycle, run_life_cycle
     from pipeline.resolve import resolve_scene
 
     scene = resolve_scene(ALLOYS, TIMES, "quick")
     with tempfile.TemporaryDirectory(prefix="perilife-bench-") as place:
         clock = _StageClock()
-        cycle = LifeCycle(scene, Path(place), progress=clock)
-        rows = cycle.run()
+        rows = run_life_cycle(scene, Path(place), progress=clock)
+        cycle = LifeCycle(scene, Path(place))
         results = [
             Result(f"{stage} time", seconds, "s", None) for stage, seconds in clock.stages.items()
         ]

@@ -30,6 +30,30 @@ Outcome = tuple[list[Path], dict[str, object]]
 """What a stage leaves: the files that must exist, and numbers for its record."""
 
 
+def run_life_cycle(
+    scene: Scene,
+    out: RunFolder | Path | str,
+    *,
+    resume: bool = False,
+    ranks: int = 1,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> list[SummaryRow]:
+    """Check the scene, open (or with `resume` reopen) the run folder `out` and do every stage.
+
+    Returns the rows of summary.csv.  Raises ValueError, OSError or MemoryError with one sentence
+    for what cannot be computed, TensileStageError for a tensile test without a result.
+    """
+    from pipeline.opening import open_run
+
+    path = out.path if isinstance(out, RunFolder) else out
+    with open_run(scene, path, resume) as (folder, solid):
+        cycle = LifeCycle(
+            scene, folder, ranks=ranks, workers=workers, progress=progress, solid=solid
+        )
+        return cycle.run()
+
+
 class LifeCycle:
     """One run: a scene, its folder, how many MPI ranks per pull and how many pulls at a time.
 

@@ -6,6 +6,7 @@ when NP > 1), so that a crash or the memory of one test never touches the others
 
 import json
 import os
+import resource
 import shutil
 import signal
 import subprocess
@@ -143,6 +144,7 @@ def _write_result(out: Path, result: object) -> None:
             "length": float(result.length),
             "increments": len(strain) - 1,
             "processor_seconds": time.process_time(),
+            "memory_bytes": 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss,
             **{name: int(getattr(result, name)) for name in counts},
             "cost": {name: float(value) for name, value in result.cost.items()},
         },
