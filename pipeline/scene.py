@@ -14,7 +14,6 @@ import typing
 from dataclasses import dataclass, field
 
 from fem.quadrature import ELEMENTS
-from peri.corrosion.planning import DEFAULT_TOLERANCE, LIQUID, SOLID_CORE
 from peri.marching import SCHEMES as TIME_SCHEMES
 from pipeline.machine import version
 from pipeline.screw import ScrewParameters
@@ -24,6 +23,9 @@ SCHEMA_VERSION = 1
 DOMAIN_SHAPES = ("cylinder", "ball")
 BOUNDARIES = ("refreshed", "no_flux")
 SATURATIONS = ("complementarity", "as_published", "none")
+OMITTABLE = ("liquid", "solid_core")
+"""What a march may leave out; named as in peri.corrosion.planning, which is slow to import."""
+
 CALIBRATIONS = ("discrete", "closed")
 LATERAL = ("free", "clamped")
 
@@ -122,7 +124,7 @@ class CorrosionSettings:
     calibration: str = "discrete"
     influence: str = "constant"
     kernel_exponent: float = 0.0
-    tolerance: float = DEFAULT_TOLERANCE
+    tolerance: float = 1e-3
     keep: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -130,7 +132,7 @@ class CorrosionSettings:
             _positive("corrosion step", self.step)
         _check(0 <= self.tolerance < 1, "tolerance", self.tolerance, "in [0, 1)")
         for name in self.keep:
-            _one_of("keep", name, (LIQUID, SOLID_CORE))
+            _one_of("keep", name, OMITTABLE)
         _check(0 < self.rate_change <= 1, "rate change", self.rate_change, "in (0, 1]")
         _one_of("time scheme", self.scheme, TIME_SCHEMES)
         _one_of("saturation", self.saturation, SATURATIONS)

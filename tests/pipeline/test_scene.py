@@ -6,6 +6,7 @@ import json
 import pytest
 
 from pipeline.scene import (
+    OMITTABLE,
     AlloyScene,
     CorrosionParameters,
     CorrosionSettings,
@@ -201,3 +202,10 @@ def test_time_zero_is_added_in_front_for_the_strength_ratio(scene):
     assert [t.seconds for t in scene.with_intact()] == [0.0, 604800.0, 4838400.0]
     started = dataclasses.replace(scene, immersion=parse_immersion_times(["0d", "8w"]))
     assert started.with_intact() == started.immersion
+
+
+def test_the_names_of_what_a_march_may_leave_out_are_those_of_peri():
+    from peri.corrosion import planning
+
+    assert OMITTABLE == (planning.LIQUID, planning.SOLID_CORE)
+    assert CorrosionSettings().tolerance == planning.DEFAULT_TOLERANCE
