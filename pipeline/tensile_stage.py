@@ -5,6 +5,7 @@ when NP > 1), so that a crash or the memory of one test never touches the others
 """
 
 import json
+import logging
 import os
 import resource
 import shutil
@@ -306,6 +307,7 @@ def main(arguments: list[str]) -> int:
     if len(arguments) != 1:
         print("usage: python -m pipeline.tensile_stage JOB.json", file=sys.stderr)
         return 2
+    logging.basicConfig(level=logging.INFO, format="%(relativeCreated)8.0f ms %(message)s")
     run_job(TensileJob.read(Path(arguments[0])))
     return 0
 
