@@ -39,7 +39,7 @@ def well_stirred(
     Returns
     -------
     CorrosionResult
-        Liquid concentrations are 0; history has one row per output time.
+        Liquid concentrations are 0; history has a hundred even times and the output times.
     """
     started = clock.perf_counter()
     times = np.asarray(times, float)
@@ -60,32 +60,35 @@ def well_stirred(
         return min(1.0, solid * float(weights @ -np.expm1(-levels * s)) / scale)
 
     fastest = levels.max(initial=0.0) * scene.kinetics.factor(0.0)
-    stretched = np.zeros(times.size)
+    moments = np.union1d(np.linspace(0.0, times[-1], 101), times)
+    stretched = np.zeros(moments.size)
     if fastest > 0 and times[-1] > 0:
         solution = solve_ivp(
             lambda t, s: [scene.kinetics.factor(loss(s[0]))],
             (0.0, times[-1]),
             [0.0],
             method="DOP853",
-            t_eval=times,
+            t_eval=moments,
             rtol=tolerance,
             atol=tolerance / fastest,
         )
         stretched = solution.y[0]
     concentration = np.zeros((times.size, *scene.lattice.shape))
-    for n, s in enumerate(stretched):
+    for n, s in enumerate(stretched[np.searchsorted(moments, times)]):
         concentration[n][scene.metal] = solid * np.exp(-rates * s)
-    losses = np.array([loss(s) for s in stretched])
+    history_loss = np.array([loss(s) for s in stretched])
+    losses = history_loss[np.searchsorted(moments, times)]
     metal = concentration >= saturated
-    amounts = scene.lattice.cell_volume * np.array([c[scene.metal] @ volumes for c in concentration])
     initial = scene.lattice.cell_volume * volumes.sum() * solid
-    history = {name: np.zeros(times.size) for name in HISTORY}
+    dissolved = [solid * float(weights @ -np.expm1(-levels * s)) for s in stretched]
+    released = scene.lattice.cell_volume * np.array(dissolved)
+    history = {name: np.zeros(moments.size) for name in HISTORY}
     history.update(
-        time=times,
-        step=np.diff(times, prepend=0.0),
-        volume_loss=losses,
-        metal_amount=amounts,
-        released_amount=initial - amounts,
+        time=moments,
+        step=np.diff(moments, prepend=0.0),
+        volume_loss=history_loss,
+        metal_amount=initial - released,
+        released_amount=released,
     )
     return CorrosionResult(
         scene, times, concentration, metal, losses, history, clock.perf_counter() - started
