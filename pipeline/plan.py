@@ -71,7 +71,7 @@ class Cost:
 
     corrosion_seconds_per_node: float = 1.1e-4
     corrosion_bytes_per_node: float = 600.0
-    tensile_seconds_per_unknown: float = 2.0e-3
+    tensile_seconds_per_unknown: float = 3.0e-3
     tensile_bytes_per_unknown: float = 1.0e4
     mesh_seconds_per_cell: float = 5.0e-5
     solid_seconds: float = 5.0
