@@ -3,6 +3,7 @@
 
 # MPI ranks share the cores, so each keeps to one thread; no screen is needed to draw.
 export OMP_NUM_THREADS ?= 1
+export OMP_WAIT_POLICY ?= passive
 export PYVISTA_OFF_SCREEN ?= true
 export MPLBACKEND ?= Agg
 
