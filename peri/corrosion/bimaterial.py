@@ -18,6 +18,7 @@ import numpy as np
 
 from peri import kernels
 from peri.corrosion import saturation
+from peri.corrosion.interface import Interface
 from peri.corrosion.scene import CorrosionScene
 from peri.operators import NonlocalSum
 from peri.processes import ONE_PROCESS, OneProcess
@@ -226,7 +227,7 @@ class BiMaterial:
         scene = self.scene
         saturated = scene.saturation_concentration
         y = np.where(self.free, guess, 0.0)
-        state = _Interface(self, old, tau)
+        state = Interface(self, old, tau)
         if scene.saturation == "as_published":
             state.switch_off(np.where(self.free & (old >= saturated), self.capacity, 0.0))
         if theta is None:
@@ -324,7 +325,7 @@ class BiMaterial:
         new = np.where(self.free, old + step * transport, 0.0)
         theta, metal, state = None, None, None
         if self.box is not None:
-            state = _Interface(self, old, np.inf)
+            state = Interface(self, old, np.inf)
             if scene.saturation == "as_published":
                 full = self.free & (old >= scene.saturation_concentration)
                 state.switch_off(np.where(full, self.capacity, 0.0))
@@ -466,58 +467,3 @@ class BiMaterial:
             fixed = self.take(np.where(self.fixed, self.capacity, 0.0))
             rate += float((seen * fixed).sum())
         return self.processes.total(rate) * self.scene.lattice.cell_volume
-
-
-class _Interface:
-    """Metal-liquid exchange of one stage on the box around the metal."""
-
-    def __init__(self, problem: BiMaterial, old: np.ndarray, tau: float) -> None:
-        self.p, self.tau = problem, tau
-        self.old_metal = problem.take(old)
-        self.on = problem.box_metal.astype(float)
-        self.seen_metal = problem.box(problem.box_metal_volume)
-
-    def switch_off(self, saturated_volume: np.ndarray) -> None:
-        """Algorithm 1: no exchange for metal nodes that see saturated liquid."""
-        p = self.p
-        neighbours = p.box(p.take(saturated_volume))
-        self.on = saturation.published_switch(neighbours, p.box_metal).astype(float)
-        self.seen_metal = p.box(p.box_metal_volume * self.on)
-
-    def set(self, theta: np.ndarray, rate: float) -> None:
-        """Fix the saturation factors and the interface diffusivity (m^2/s)."""
-        p = self.p
-        self.theta, self.rate = theta, rate
-        self.bonds = theta * p.box_liquid_volume
-        self.outflow = rate * self.on * p.box(self.bonds)
-        decay = 1.0 / self.tau + self.outflow
-        self.response = np.divide(self.on, decay, out=np.zeros_like(decay), where=decay > 0)
-        metal = p.box_metal
-        decay = 1.0 / self.tau + self.outflow[metal]
-        stored = np.divide(1.0 / self.tau, decay, out=np.ones_like(decay), where=decay > 0)
-        count = p.processes.total(stored.size)
-        self.storage_share = p.processes.total(float(stored.sum())) / count if count else 1.0
-
-    def metal_concentration(self, liquid: np.ndarray) -> np.ndarray:
-        """C_i = (old_i / tau + D sum theta w c C_j) / (1 / tau + D sum theta w c)."""
-        inflow = self.rate * self.on * self.p.box(self.bonds * liquid)
-        value = (self.old_metal / self.tau + inflow) / (1.0 / self.tau + self.outflow)
-        return np.where(self.p.box_metal, value, 0.0)
-
-    def through_metal(self, liquid: np.ndarray) -> np.ndarray:
-        """What liquid values send to each node by way of the metal (weights of the metal in)."""
-        inflow = self.rate * self.p.box(self.bonds * liquid)
-        return self.p.box(self.p.box_metal_volume * self.response * inflow)
-
-    def liquid_gain(self, liquid: np.ndarray) -> np.ndarray:
-        """Net interface inflow of the free liquid nodes for given liquid values."""
-        p = self.p
-        seen = p.box(p.box_metal_volume * self.on * self.metal_concentration(liquid))
-        return self.theta * p.box_free_volume * self.rate * (seen - self.seen_metal * liquid)
-
-    def correct(self, metal: np.ndarray, change: np.ndarray, saturated: float) -> np.ndarray:
-        """Metal after the flux of the active nodes changed by `change` in theta."""
-        p = self.p
-        bonds = change * p.box_free_volume
-        flux = self.rate * self.on * p.box(bonds) * (metal - saturated)
-        return np.where(p.box_metal, metal - self.tau * flux, 0.0)
