@@ -57,7 +57,9 @@ class NonlocalSum:
         self.processes, self.window = processes, window
         lead = (1,) * (3 - len(shape))
         self.shape = lead + self.lattice_shape
-        self.octant = stencil.octant.reshape(lead + stencil.octant.shape)
+        # Bonds longer than the lattice find no partner; the constants keep those of the stencil.
+        octant = stencil.octant[tuple(map(slice, processes.extent(self.lattice_shape)))]
+        self.octant = octant.reshape(lead + octant.shape)
         self.reach = tuple(n - 1 for n in self.octant.shape)
         self.padded_shape = tuple(
             n + 2 * r for n, r in zip(self.shape, self.reach, strict=True)
@@ -132,15 +134,16 @@ def _tiles(low: np.ndarray, high: np.ndarray) -> np.ndarray:
 def _shells(octant: np.ndarray):
     """Rows of the stencil grouped by equal weight columns, in the form the kernel takes."""
     groups: dict[bytes, list[tuple[int, int]]] = {}
-    scale = np.abs(octant).max()
+    scale = octant.max()
     for a in range(octant.shape[0]):
         for b in range(octant.shape[1]):
             column = octant[a, b]
             if column.any():
                 key = np.round(column / scale, 13).tobytes()
                 groups.setdefault(key, []).append((a, b))
+    groups = groups or {b"": [(0, 0)]}  # no bonds at all: one shell of zeros
     # Longest columns first, so that the shells that matter at distance c are the first ones.
-    ordered = sorted(groups.values(), key=lambda p: -np.flatnonzero(octant[p[0]]).max())
+    ordered = sorted(groups.values(), key=lambda p: -np.flatnonzero(octant[p[0]]).max(initial=0))
     source_a, source_b, start = [], [], [0]
     for pairs in ordered:
         for a, b in pairs:

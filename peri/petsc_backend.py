@@ -79,6 +79,8 @@ class Ranks(OneProcess):
             lambda: (scene.stencil.octant, scene.stencil.spacing, work_per_plane(scene.domain))
         )
         reach = Stencil(octant, spacing).reach
+        lengths = [w.size for w in work]
+        reach = tuple(min(r, n - 1) for r, n in zip(reach, lengths, strict=True))
         self.edges = share_out(work, max(reach), comm.size)
         self.shape = tuple(e[-1] for e in self.edges)
         self.shape3 = (1,) * (3 - len(self.shape)) + self.shape
@@ -129,6 +131,10 @@ class Ranks(OneProcess):
             cut.append(slice(w.start + m - r, w.stop + m + r))
         own[window] = values[tuple(inner)]
         return np.ascontiguousarray(self.grid.update()[tuple(cut)])
+
+    def extent(self, shape: tuple[int, ...]) -> tuple[int, ...]:
+        """Nodes per axis of the whole lattice."""
+        return self.shape
 
     def gather(self, values: np.ndarray) -> np.ndarray:
         """The whole lattice's array on rank 0, an empty one elsewhere."""

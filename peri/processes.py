@@ -34,6 +34,10 @@ class OneProcess:
         """The scene of this process's block."""
         return scene
 
+    def extent(self, shape: tuple[int, ...]) -> tuple[int, ...]:
+        """Nodes per axis of the whole array of which this process holds `shape`."""
+        return shape
+
     def with_ghosts(self, values: np.ndarray, window: tuple[slice, ...] | None) -> np.ndarray:
         """A padded field with the neighbours' values in its ghosts.
 

@@ -143,6 +143,10 @@ class BiMaterial:
             self.box_liquid_volume = self.take(self.liquid_volume)
             self.box_free_volume = self.take(np.where(self.free, self.capacity, 0.0))
 
+    def forget(self) -> None:
+        """Drop the preconditioner of earlier stages."""
+        self._system = None
+
     def dissolve(self, concentration: np.ndarray) -> int:
         """Turn metal nodes below C_sat into liquid; returns how many."""
         gone = self.metal & (concentration < self.scene.saturation_concentration)
@@ -224,7 +228,7 @@ class BiMaterial:
         """
         if self.box is None:
             return self._liquid_only_stage(old, tau, guess)
-        scene = self.scene
+        scene, total = self.scene, self.processes.total
         saturated = scene.saturation_concentration
         y = np.where(self.free, guess, 0.0)
         state = Interface(self, old, tau)
@@ -236,7 +240,7 @@ class BiMaterial:
         active = np.zeros(self.box.padded_shape, bool)
         if complementary:
             active = (theta < 1.0) & (self.box_free_volume > 0)
-        total_iterations, settled = 0, False
+        total_iterations, settled, stall = 0, False, saturation.Stall()
         for rounds in range(1, _MAXIMUM_ROUNDS + 1):
             volume_loss = self._settle_rate(state, theta, volume_loss, self.take(y))
             view = y[self.window]
@@ -254,23 +258,27 @@ class BiMaterial:
                 )
                 new_theta = np.where(self.box_liquid_volume > 0, new_theta, 0.0)
                 bonds_on = np.maximum(new_theta, 0.0)
-                mismatch = tau * self.processes.total(
+                mismatch = tau * total(
                     float((np.abs(bonds_on - theta) * available)[active].sum())
                 )
                 changed = self.processes.any(not np.array_equal(new_active, active))
                 settled &= not changed and mismatch <= 1e-9 * self.metal_scale * max(1e-3, loss)
                 if settled:
                     # Judged by its amount: `available` grows with D_int without limit.
-                    shortfall = self.processes.total(-float(needed[active].clip(max=0.0).sum()))
+                    shortfall = total(-float(needed[active].clip(max=0.0).sum()))
                     if tau * shortfall > 1e-9 * self.metal_scale:
                         raise BoundsError("saturation: the stage would need a negative inflow")
                     break
+                if stall.after(int(total(int((new_active != active).sum()))), mismatch):
+                    break
                 active, theta = new_active, bonds_on
+            elif state.hold_back(metal):
+                settled = False
             elif settled:
                 break
         if not settled:
             raise ConvergenceError(
-                f"saturation: the active set did not settle in {_MAXIMUM_ROUNDS} rounds at a "
+                f"saturation: the active set did not settle in {rounds} rounds at a "
                 f"step of {tau:.3g} s"
             )
         release = self._release_rate(y, state, metal)
@@ -332,6 +340,9 @@ class BiMaterial:
             rate = self.base_diffusivity * scene.kinetics.factor(volume_loss)
             theta = (self.box_liquid_volume > 0).astype(float)
             box_liquid = self.take(liquid)
+            state.set(theta, rate)
+            drawn = rate * self.box(state.bonds * box_liquid)
+            state.hold_back(state.old_metal + step * (drawn - state.outflow * state.old_metal))
             seen = self.box(self.box_metal_volume * state.on * state.old_metal)
             inflow = step * rate * (seen - state.seen_metal * box_liquid)
             inflow = np.where(self.box_free_volume > 0, inflow, 0.0)

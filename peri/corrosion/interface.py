@@ -23,6 +23,19 @@ class Interface:
         self.on = saturation.published_switch(neighbours, p.box_metal).astype(float)
         self.seen_metal = p.box(p.box_metal_volume * self.on)
 
+    def hold_back(self, metal: np.ndarray) -> bool:
+        """No exchange for metal nodes that would take solute back; whether there are new ones.
+
+        Dissolution is irreversible.  Bounded liquid never exceeds the metal, so this concerns
+        liquid without a bound (saturation "none", and "as_published" within a step).
+        """
+        back = (self.on > 0) & (metal > self.old_metal * (1 + 1e-13))
+        if not self.p.processes.any(back.any()):
+            return False
+        self.on[back] = 0.0
+        self.seen_metal = self.p.box(self.p.box_metal_volume * self.on)
+        return True
+
     def set(self, theta: np.ndarray, rate: float) -> None:
         """Fix the saturation factors and the interface diffusivity (m^2/s)."""
         p = self.p

@@ -192,6 +192,7 @@ def _initial(problem: BiMaterial, stepping: TimeStepping, times) -> _State:
 
 def _advance(problem: BiMaterial, state: _State, stepping: TimeStepping, target: float) -> None:
     """One accepted step, in place."""
+    problem.forget()  # so that a step depends on the state alone, and a resumed march is the same
     while True:
         step = step_towards(state.time, target, state.step)
         try:

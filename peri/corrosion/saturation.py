@@ -11,6 +11,8 @@ step; it is kept for comparison.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 
@@ -40,6 +42,29 @@ def next_active_set(
     theta = np.where(stays, np.minimum(ratio, 1.0), 1.0)
     # A node that joins starts from full bonds; the next round computes its theta.
     return stays | joins, theta
+
+
+class Stall:
+    """Whether rounds of the active set have stopped to get anywhere.
+
+    A stage without a solution (a right side above C_sat) makes the same nodes join and leave in
+    turn: for a few rounds neither their number nor the inflow in dispute falls.
+    """
+
+    def __init__(self, patience: int = 4) -> None:
+        self.patience, self.idle = patience, 0
+        self.changes, self.mismatch = math.inf, math.inf
+
+    def after(self, changes: int, mismatch: float) -> bool:
+        """True when the last `patience` rounds brought nothing.
+
+        changes : nodes that joined or left.  mismatch : amount in dispute.
+        """
+        better = changes == 0 or changes < self.changes or mismatch < 0.9 * self.mismatch
+        self.idle = 0 if better else self.idle + 1
+        self.changes = min(self.changes, changes)
+        self.mismatch = min(self.mismatch, mismatch)
+        return self.idle >= self.patience
 
 
 def published_switch(saturated_neighbours: np.ndarray, metal: np.ndarray) -> np.ndarray:

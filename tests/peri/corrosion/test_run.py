@@ -36,11 +36,10 @@ def check_invariants(scene, result):
     assert 0 <= history["volume_loss"].min() and history["volume_loss"].max() <= 1
     assert result.concentration.min() >= -1e-12 * solid
     assert result.concentration.max() <= solid * (1 + 1e-12)
+    # the stage knows V_L to 1e-9: measured -3.3e-11 in liquid that is full
+    assert np.diff(history["volume_loss"]).min(initial=0.0) >= -1e-9
     if scene.saturation == "complementarity":
         liquid = result.concentration[~result.metal]
-        # the stage knows V_L to 1e-9: measured -3.3e-11 in liquid that is full.  Without a bound on
-        # the liquid it may fall: what left one node can return to another that has less
-        assert np.diff(history["volume_loss"]).min(initial=0.0) >= -1e-9
         # solver tolerance beyond the metal's reach: measured 3.2e-10
         assert liquid.max(initial=0.0) <= saturated * (1 + 1e-8)
 
@@ -291,15 +290,10 @@ def test_an_interrupted_march_goes_on_with_the_same_numbers(liquid, stepping, tm
         resume=True,
     )
     assert resumed_at[0] > 0.1  # it did not start over
-    np.testing.assert_array_equal(again.metal, whole.metal)
-    # a resumed march builds its preconditioner anew, an uninterrupted one keeps it while the
-    # step stays: the same solutions up to a tiny part of the solver's tolerance of 1e-9
-    np.testing.assert_allclose(
-        again.concentration, whole.concentration, rtol=0, atol=1e-11 * scene.solid_concentration
-    )
-    np.testing.assert_allclose(again.volume_loss, whole.volume_loss, rtol=1e-10)
-    for name in ("time", "metal_amount", "dissolved_nodes", "saturated_nodes"):
-        np.testing.assert_allclose(again.history[name], whole.history[name], rtol=1e-9)
+    for name in ("metal", "concentration", "volume_loss"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(whole, name))
+    for name, values in whole.history.items():
+        np.testing.assert_array_equal(again.history[name], values)
 
 
 def test_a_checkpoint_of_another_march_is_refused(tmp_path):
