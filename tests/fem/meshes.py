@@ -41,3 +41,40 @@ def round_bar(
     volumes = np.linalg.det(corners[:, 1:] - corners[:, :1])
     flat = abs(volumes) <= 1e-12 * abs(volumes).max()
     return points, cells[~flat]
+
+
+def distorted_box(
+    shape: tuple[int, int, int] = (2, 2, 3),
+    size: tuple[float, float, float] = (1e-3, 1e-3, 1.5e-3),
+    amount: float = 0.15,
+) -> tuple[np.ndarray, np.ndarray]:
+    """A box whose inner vertices are displaced at random, by `amount` of the spacing."""
+    points, cells = box(shape, size)
+    spacing = np.array(size) / np.array(shape)
+    inner = np.all((points > 1e-9) & (points < np.array(size) - 1e-9), axis=1)
+    noise = np.random.default_rng(2).uniform(-amount, amount, points.shape) * spacing
+    points[inner] += noise[inner]
+    return points, cells
+
+
+def quarter_bar(
+    across: int, along: int, radius: float, length: float, taper: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """x, y, z > 0 of a bar with its middle at z = 0; radius (1 - taper) there, linear to the end.
+
+    length: of the whole bar. Cells are finer towards the middle. The radius is scaled such that
+    the volume is that of the smooth body in spite of the straight edges of the cells.
+    """
+    points, cells = box((across, across, along), (1.0, 1.0, 1.0))
+    x, y, z = points.T.copy()
+    norm = np.hypot(x, y)
+    factor = np.where(norm > 0, np.maximum(x, y) / np.where(norm > 0, norm, 1.0), 0.0)
+    z = z**1.6
+    local = radius * (1.0 - taper + taper * z)
+    points = np.c_[x * factor * local, y * factor * local, 0.5 * length * z]
+    corners = points[cells]
+    volume = abs(np.linalg.det(corners[:, 1:] - corners[:, :1])).sum() / 6.0
+    small, large = radius * (1.0 - taper), radius
+    exact = np.pi / 24.0 * length * (small**2 + small * large + large**2)
+    points[:, :2] *= np.sqrt(exact / volume)
+    return points, cells

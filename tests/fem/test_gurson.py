@@ -48,9 +48,9 @@ def test_return_map_reaches_the_yield_surface_everywhere():
         assert 0 <= beta <= 1 and 0 <= f <= PARAMETERS[LIMIT] and abs(a) <= abs(volume)
         if new_strain > strain:
             plastic += 1
-            # tolerance of the return mapping is 1e-11 of the squared strength; the nested
-            # bisection of the hardest states resolves 1e-15 of the strain: measured 4e-9
-            assert abs(phi) <= 1e-6 * (1 - 1.5 * f) ** 2 + 1e-12
+            # tolerance of the return mapping is 1e-11 of the squared strength, which the nested
+            # bisection of the hardest states meets too: measured 9.8e-12 beside 1e-12 of round-off
+            assert abs(phi) <= 1e-10 * (1 - 1.5 * f) ** 2 + 1e-12
             growth = 1 - (1 - damage) * np.exp(-a)
             assert f == pytest.approx(min(max(growth, 0), PARAMETERS[LIMIT]), abs=1e-14)
         else:
@@ -70,9 +70,9 @@ def test_newton_and_bracketing_agree():
             volume, mises, 1.0, strain, damage, PARAMETERS, 0, HARDENING
         )
         compared += 1
-        # both solve to about 1e-10 of the residual: measured 2e-10
-        assert other_a == pytest.approx(a, rel=1e-6, abs=1e-12)
-        assert other_beta == pytest.approx(beta, rel=1e-6, abs=1e-12)
+        # both solve to 1e-10 of the residual: measured 2e-10 in beta, a within 1e-12
+        assert other_a == pytest.approx(a, rel=1e-8, abs=1e-12)
+        assert other_beta == pytest.approx(beta, rel=1e-8, abs=1e-12)
     assert compared > 100
 
 
@@ -82,7 +82,7 @@ def test_hydrostatic_return_needs_no_deviator():
     assert a > 0 and 0 < beta < 1
     pressure = PARAMETERS[0] * (0.02 - a)
     closed = 2 / 3 * np.arccosh((1 + (1.5 * f) ** 2) / (3 * f)) * flow
-    assert pressure == pytest.approx(closed, rel=1e-9)  # measured 1e-12
+    assert pressure == pytest.approx(closed, rel=1e-12)  # measured 1e-15
     assert strain == pytest.approx(np.sqrt(2) / 3 * a, rel=1e-12)
     assert 1 - f == pytest.approx(0.9 * np.exp(-a), rel=1e-13)
 

@@ -33,7 +33,7 @@ def rotations(n):
 
 def test_rigid_rotation_gives_no_stress():
     stress, *_ = update(Material(43e9, 0.3, LAW), rotations(50), damage=np.full(50, 0.2))
-    assert abs(stress).max() < 43e9 * 1e-14  # round-off of the trial strain: measured 1e-15 E
+    assert abs(stress).max() < 43e9 * 1e-14  # round-off of the trial strain: measured 7e-16 E
 
 
 def test_rotated_deformation_rotates_the_stress():
@@ -45,10 +45,10 @@ def test_rotated_deformation_rotates_the_stress():
     turned, _, _, strain2, f2, _ = update(material, rotation @ gradients, damage=damage)
     assert strain.min() > 0.003
     expected = rotation @ plain @ np.swapaxes(rotation, 1, 2)
-    # the return mapping stops at 1e-11: measured 2e-11 of the yield stress
-    assert abs(turned - expected).max() < 130e6 * 1e-8
-    np.testing.assert_allclose(strain2, strain, rtol=1e-8)
-    np.testing.assert_allclose(f2, f, rtol=1e-8)
+    # round-off, since both take the same path: measured 1e-13 of the yield stress, 6e-15, 5e-14
+    assert abs(turned - expected).max() < 130e6 * 1e-10
+    np.testing.assert_allclose(strain2, strain, rtol=1e-11)
+    np.testing.assert_allclose(f2, f, rtol=1e-11)
 
 
 def _states(kind, n):
@@ -95,9 +95,11 @@ def test_taylor_slope_of_the_tangent(kind, loaded):
     linear = linear[smooth]
     slopes = np.log2(np.array(remainder[:-1]) / np.array(remainder[1:]))
     relative = remainder[-1] / (steps[-1] * np.linalg.norm(linear, axis=(1, 2)))
-    # second order on both sides; measured 1.99 to 2.01, elastic 1.96 to 2.04 (near round-off)
-    assert slopes.min() > 1.85 and slopes.max() < 2.15
-    assert relative.max() < 5e-3  # measured 6e-4 at h = 1e-6: the slope alone could hide a constant
+    # second order on both sides; measured 1.9996 to 2.0005, elastic 1.96 to 2.02 (near round-off)
+    margin = 0.1 if kind == "elastic" else 0.01
+    assert slopes.min() > 2 - margin and slopes.max() < 2 + margin
+    # the slope alone could hide a constant: measured 4e-7 (elastic), 5e-5 and 2e-4 at h = 1e-6
+    assert relative.max() < (2e-6 if kind == "elastic" else 1e-3)
 
 
 @pytest.mark.parametrize("nu", [0.0, 0.4999])

@@ -9,7 +9,7 @@ from fem.constitutive import Material, VoceHardening
 from fem.quadrature import quadrature_points
 from fem.solid import Grips
 from fem.tensile_test import TensileSettings, peak_of_curve, tensile_test
-from tests.fem.meshes import box, round_bar
+from tests.fem.meshes import box, distorted_box, round_bar
 from tests.fem.one_dimension import uniaxial_curve
 
 LAW = VoceHardening(130e6, 156e6, 10.6)
@@ -17,16 +17,6 @@ MAGNESIUM = Material(43e9, 0.3, LAW)
 SMALL_BAR = round_bar(2, 4, 1e-3, 4e-3, waist=0.3)
 BAR = round_bar(4, 6, 1e-3, 4e-3, waist=0.3)
 ELEMENTS = ["P1", "P1-Fbar", "P2", "P2-Fbar"]
-
-
-def distorted_box(shape=(2, 2, 3), size=(1e-3, 1e-3, 1.5e-3), amount=0.15):
-    """A box whose inner vertices are displaced at random."""
-    points, cells = box(shape, size)
-    spacing = np.array(size) / np.array(shape)
-    inner = np.all((points > 1e-9) & (points < np.array(size) - 1e-9), axis=1)
-    noise = np.random.default_rng(2).uniform(-amount, amount, points.shape) * spacing
-    points[inner] += noise[inner]
-    return points, cells
 
 
 @pytest.mark.parametrize("element", ELEMENTS)
@@ -42,8 +32,8 @@ def test_patch(element):
     design = np.c_[points, np.ones(len(points))]
     fit, *_ = np.linalg.lstsq(design, result.displacement, rcond=None)
     assert fit[2, 2] == pytest.approx(0.02, rel=1e-9)
-    # residual tolerance 1e-9 of the reaction: measured 4e-12 of the elongation
-    assert abs(design @ fit - result.displacement).max() < 1e-8 * result.elongation[-1]
+    # residual tolerance 1e-9 of the reaction: measured 1e-11 to 6e-11 of the elongation
+    assert abs(design @ fit - result.displacement).max() < 1e-9 * result.elongation[-1]
 
 
 @pytest.mark.parametrize("f0", [0.0, 0.2])
@@ -54,17 +44,20 @@ def test_bar_follows_the_independent_integration(f0):
         element="P1", maximum_strain=0.1, full_curve=True, tolerance=1e-8, maximum_increment=0.002
     )
     result = tensile_test(points, cells, f0, MAGNESIUM, settings)
-    strain, nominal, f, _ = uniaxial_curve(
-        43e9, 0.3, lambda e: 130e6 + 156e6 * (1 - np.exp(-10.6 * e)), 1.5, f0, 0.06 * 286e6
+    strain, nominal, f, accumulated = uniaxial_curve(
+        43e9, 0.3, lambda e: 130e6 + 156e6 * (1 - np.exp(-10.6 * e)), 1.5, f0, 0.06 * 286e6, 4000
     )
     assert strain[-1] > 0.1
     plastic = result.elongation > 0.006e-3
     expected = np.interp(result.elongation[plastic] / result.length, strain, nominal) * 1e-6
     assert plastic.sum() > 30
-    # backward Euler with steps of 0.2 % strain: measured 8e-5 (f0 = 0.2), 2e-5 (J2)
-    np.testing.assert_allclose(result.force[plastic], expected, rtol=5e-4)
-    grown = np.interp(0.1, strain, f)
-    assert result.history["largest_damage"][-1] == pytest.approx(grown, rel=2e-3, abs=1e-12)
+    # backward Euler with steps of 0.2 % strain, half of it with 0.1 %: measured 2.5e-5 (f0 = 0.2);
+    # J2 is integrated exactly along a straight path: measured 6e-8, of the interpolation
+    np.testing.assert_allclose(result.force[plastic], expected, rtol=5e-5 if f0 else 1e-6)
+    grown, flowed = np.interp(0.1, strain, f), np.interp(0.1, strain, accumulated)
+    # measured 5.5e-5 and -4.8e-5
+    assert result.history["largest_damage"][-1] == pytest.approx(grown, rel=2e-4, abs=1e-12)
+    assert result.history["largest_plastic_strain"][-1] == pytest.approx(flowed, rel=2e-4)
     assert (grown > 0.21) == (f0 > 0)
 
 
@@ -77,14 +70,14 @@ def test_considere():
     )
     result = tensile_test(points, cells, 0.0, rigid, settings)
     assert result.status == "past_peak"
-    # parabola through points 1 % apart: measured 188.194 and 0.18868
-    assert result.peak_force == pytest.approx(188.19, rel=1e-4)
+    # parabola through points 1 % apart: measured 188.186 and 0.18889
+    assert result.peak_force == pytest.approx(188.19, rel=5e-5)
     at = np.log1p(result.elongation_at_peak / result.length)
-    assert at == pytest.approx(0.18871, abs=5e-4)
+    assert at == pytest.approx(0.18871, abs=3e-4)
 
 
 def test_locking_and_its_cure():
-    """Waisted bar: P1 is far too strong, F-bar at most as strong as P2."""
+    """Waisted bar: P1 is far too strong, P1-Fbar half as much, P2-Fbar at most as strong as P2."""
     settings = {"maximum_strain": 0.03, "full_curve": True, "maximum_increment": 0.01}
     force = {
         element: tensile_test(
@@ -93,7 +86,8 @@ def test_locking_and_its_cure():
         for element in ELEMENTS
     }
     assert force["P1"] > 1.05 * force["P2"]  # measured 1.07 times
-    assert 0.97 < force["P2-Fbar"] / force["P2"] <= 1.001  # measured 0.993
+    assert 1.0 < force["P1-Fbar"] / force["P2"] < 1.045  # measured 1.033
+    assert 0.98 < force["P2-Fbar"] / force["P2"] < 1.0  # measured 0.988
 
 
 def test_energy_balance():
@@ -108,8 +102,8 @@ def test_energy_balance():
         assert history["dissipated"][-1] > 0.9 * history["work"][-1] > 0
         gap = history["work"] - history["stored"] - history["dissipated"]
         residuals.append(abs(gap[-1]) / history["work"][-1])
-    # first order in the increment: measured below 1 % and its half
-    assert residuals[0] < 0.02 and residuals[1] < 0.7 * residuals[0]
+    # at least first order in the increment: measured 0.25 % and 0.09 %
+    assert residuals[0] < 0.005 and residuals[1] < 0.5 * residuals[0]
 
 
 def test_statuses_of_corroded_solids():
@@ -136,8 +130,8 @@ def test_two_pieces_side_by_side_carry_twice_the_force():
     two = tensile_test(
         double, np.concatenate([cells, cells + len(points)]), 0.0, MAGNESIUM, settings
     )
-    # both are uniaxial and exact: measured 1e-9, of the residual tolerance
-    np.testing.assert_allclose(two.force[1:], 2 * one.force[1:], rtol=1e-6)
+    # both are uniaxial and exact: measured 6e-14
+    np.testing.assert_allclose(two.force[1:], 2 * one.force[1:], rtol=1e-9)
 
 
 def test_loose_splinters_are_removed_and_a_ligament_is_kept():
@@ -179,7 +173,7 @@ def test_clamped_grips_hold_lateral_motion():
     ends = (points[:, 2] == 0) | (points[:, 2] == points[:, 2].max())
     assert abs(clamped.displacement[ends, :2]).max() == 0.0
     assert abs(free.displacement[ends, :2]).max() > 1e-6 * 1e-3
-    assert clamped.force[-1] > 1.02 * free.force[-1]  # measured 1.10
+    assert clamped.force[-1] > 1.02 * free.force[-1]  # measured 1.046
 
 
 def test_grip_length_shortens_the_free_part():
@@ -191,7 +185,7 @@ def test_grip_length_shortens_the_free_part():
     result = tensile_test(points, cells, 0.0, Material(43e9, 0.0, LAW), settings)
     # elastic, half the length free, no lateral strain: E log(1.002) / 1.002 times the section
     expected = 43e9 * np.log(1.002) / 1.002 * 1e-6
-    assert result.force[-1] == pytest.approx(expected, rel=1e-7)  # measured 1e-12
+    assert result.force[-1] == pytest.approx(expected, rel=1e-10)  # measured 3e-14
 
 
 def test_peak_of_curve():
@@ -235,3 +229,58 @@ def test_refuses(change, words):
 def test_settings_refuse(make, words):
     with pytest.raises(ValueError, match=words):
         make()
+
+
+@pytest.mark.parametrize("poisson", [0.0, 0.3, 0.49])
+@pytest.mark.parametrize("element", ELEMENTS)
+def test_elastic_bar(element, poisson):
+    """Hencky's law in uniaxial tension: force = E A ln(stretch) / stretch, whatever nu."""
+    points, cells = distorted_box()
+    material = Material(1e9, poisson, VoceHardening(1e12))
+    settings = TensileSettings(
+        element=element, maximum_strain=0.2, first_increment=0.05, maximum_increment=0.1,
+        full_curve=True, tolerance=1e-9,
+    )  # fmt: skip
+    result = tensile_test(points, cells, 0.3, material, settings)
+    stretch = 1 + result.elongation / result.length
+    assert stretch[-1] == pytest.approx(1.2) and result.history["dissipated"][-1] == 0.0
+    # the residual tolerance: measured 7e-16 to 5e-10
+    np.testing.assert_allclose(
+        result.force, 1e9 * 1e-6 * np.log(stretch) / stretch, rtol=1e-8, atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("f0", [0.01, 0.3])
+def test_growth_law_of_f_in_a_uniform_brick(f0):
+    """1 - f = (1 - f0) exp(-plastic volume strain), the latter from the moved corners.
+
+    It is ln J less the elastic (1 - 2 nu) tau / E, with tau = force stretch / A.
+    """
+    points, cells = box((1, 1, 1), (1e-3, 1e-3, 1e-3))
+    settings = TensileSettings(
+        element="P1", maximum_strain=0.2, maximum_increment=0.01, full_curve=True, tolerance=1e-9
+    )
+    result = tensile_test(points, cells, f0, MAGNESIUM, settings)
+    moved = points + result.displacement
+    x, y, z = (np.flatnonzero((points == corner).all(axis=1))[0] for corner in 1e-3 * np.eye(3))
+    volume = np.log(np.linalg.det(moved[[x, y, z]] - moved[0]) / 1e-9)
+    tau = result.force[-1] * 1.2 / 1e-6
+    plastic_volume = volume - (1 - 2 * 0.3) * tau / 43e9
+    grown = result.history["largest_damage"][-1]
+    assert grown > 1.1 * f0
+    # the residual tolerance: measured 2e-12
+    assert 1 - grown == pytest.approx((1 - f0) * np.exp(-plastic_volume), rel=1e-10)
+
+
+def test_damage_added_anywhere_never_gives_more_force():
+    """Local increments of f0, each on a random tenth of the points."""
+    rng = np.random.default_rng(17)
+    shape = quadrature_points(*SMALL_BAR, "P2")[1].shape
+    settings = TensileSettings(maximum_strain=0.02, full_curve=True, maximum_increment=0.01)
+    field, forces = np.zeros(shape), []
+    for _ in range(5):
+        result = tensile_test(*SMALL_BAR, field, MAGNESIUM, settings)
+        forces.append(np.interp([0.005, 0.02], result.elongation / result.length, result.force))
+        field += np.where(rng.random(shape) < 0.1, rng.uniform(0, 0.5, shape), 0.0)
+        field = np.minimum(field, 0.6)
+    assert np.all(np.diff(forces, axis=0) < 0)
