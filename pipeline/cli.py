@@ -18,6 +18,11 @@ from pipeline.options import add_scene_options
 
 INTERRUPTED = 130
 
+STUDIES = {
+    "corrosion": "error of the volume loss against processor time, and the presets (15 min)",
+    "rates": "what lattice and orientation do to the dissolution rate (seconds)",
+}
+
 
 class _Parser(argparse.ArgumentParser):
     """A parser that refuses in one sentence, without repeating the usage."""
@@ -68,10 +73,12 @@ def build_parser() -> argparse.ArgumentParser:
     bench = add("bench", _bench, "benchmarks of this machine")
     bench.add_argument("name", metavar="NAME", help="name of a benchmark, or list")
     bench.add_argument("--json", action="store_true", help="as one JSON object")
-    study = add("study", _study, "error against run time of a stage, as CSV and plot")
-    study.add_argument("what", choices=["corrosion"], help="the stage")
+    study = add("study", _study, "error against run time, and the tables behind the presets")
+    study.add_argument(
+        "what", metavar="WHAT", help=f"{', '.join(STUDIES)} (what each finds: study list)"
+    )
     study.add_argument("--alloy", nargs="+", metavar="A", default=["Mg-5Gd", "Mg-10Gd"])
-    study.add_argument("--out", required=True, metavar="DIR", help="folder for the results")
+    study.add_argument("--out", metavar="DIR", help="folder for the results of corrosion")
     return parser
 
 
@@ -281,23 +288,33 @@ def _bench(options: argparse.Namespace) -> int:
 
 
 def _study(options: argparse.Namespace) -> int:
-    from pipeline import study_corrosion as study
+    if options.what == "list":
+        for name, text in STUDIES.items():
+            print(f"{name:12s} {text}")
+        return 0
+    if options.what not in STUDIES:
+        known = ", ".join(STUDIES)
+        raise ValueError(f"study '{options.what}' is not known; it must be one of {known}")
+    if options.what == "rates":
+        from pipeline.study_rates import print_rates
+
+        print_rates()
+        return 0
+    if options.out is None:
+        raise ValueError("study corrosion writes a table and a plot; say where with --out DIR")
     from pipeline.resolve import resolve_scene
 
     for alloy in options.alloy:
         resolve_scene([alloy], ["0w"], "quick")
-    rows = study.study_corrosion(options.alloy, lambda line: print(line, flush=True))
-    for alloy, curve, order in study.observed_orders(rows):
-        print(f"{alloy} {curve}: observed order {order:.2f}")
-    for alloy, wanted, row in study.cheapest(rows):
-        found = (
-            "not reached by any run"
-            if row is None
-            else f"{row.curve} {row.choice} on delta / {row.horizon_ratio:g}, {row.seconds:.2f} s"
-        )
-        print(f"{alloy} error {100 * wanted:g} %: {found}")
-    for path in study.write_study(rows, Path(options.out)):
-        print(path)
+    from pipeline import study_corrosion, study_results
+
+    study = study_corrosion.study_corrosion(options.alloy, lambda line: print(line, flush=True))
+    command = f"perilife study corrosion --alloy {' '.join(options.alloy)} --out {options.out}"
+    paths = study_results.write_study(study, Path(options.out), command)
+    print()
+    for line in study_results.summary_lines(study):
+        print(line)
+    print("\n" + "\n".join(map(str, paths)))
     return 0
 
 

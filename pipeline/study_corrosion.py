@@ -1,50 +1,74 @@
 """Error against run time of the corrosion stage: what each numerical choice costs and buys.
 
-Every run is the reference screw in the scene of its published parameter set.  The error is the
-largest relative difference of V_L over the output times, split into time (against a converged
-march on the same lattice) and lattice (against the finest lattice at the same horizon, with time
-converged): the sum of the two bounds the error of a setting.
+Every run is the reference screw in the scene of its published parameter set.  The error of a
+setting is the largest relative error of V_L after 7, 28 and 56 days, bounded by the sum of two
+measured parts.  Time: against the same lattice with time converged (exactly where the liquid is
+proven clean: peri.corrosion.well_stirred; else a march with far shorter steps).  Lattice: against
+the limit of no spacing at all at the same horizon (pipeline.study_reference) where the liquid is
+clean; else against the finest lattice, plus that lattice's own error in clean liquid.
 """
 
 from __future__ import annotations
 
-import csv
-import os
+import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from peri.corrosion.bimaterial import BiMaterial
 from peri.corrosion.planning import LIQUID, corrode_lean, plan_omissions
 from peri.corrosion.run import corrode
 from peri.corrosion.scene import CorrosionScene
 from peri.corrosion.well_stirred import well_stirred
+from peri.lattice import Lattice
 from peri.marching import TimeStepping
+from pipeline.corrosion_stage import corrosion_scene, domain_lattice, liquid_domain, metal_of
+from pipeline.geometry_stage import build_solid
+from pipeline.resolve import resolve_scene
+from pipeline.study_reference import continuum_volume_loss
+from pipeline.surface import Solid
 
 DAY = 86400.0
+HOUR = 3600.0
 TIMES = (7 * DAY, 28 * DAY, 56 * DAY)
-HORIZON_RATIOS = (2, 3, 4, 6)
-STEPS = (96 * 3600.0, 48 * 3600.0, 24 * 3600.0, 12 * 3600.0)
+RATIOS = (2, 3, 4, 6)
+LEAN_RATIOS = (2, 3, 4, 6, 8, 10, 12)
+STEPS = (96 * HOUR, 48 * HOUR, 24 * HOUR, 12 * HOUR)
 RATE_CHANGES = (0.4, 0.2, 0.1, 0.05, 0.025)
-CONVERGED = TimeStepping("sdirk2", rate_change=0.01)
-WANTED_ERRORS = (0.10, 0.03, 0.01, 0.003)
+CONVERGED = 0.0125
+COMMON = TimeStepping("sdirk2", rate_change=0.1)
+"""The stepping with which the lattices are compared."""
+
+STEP_CURVES = ("backward Euler, fixed steps", "SDIRK2, fixed steps", "SDIRK2, controlled steps")
+LATTICE_CURVES = (
+    "all computed, SDIRK2 0.1", "all computed, backward Euler 24 h", "liquid left out"
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Row:
-    """One run: its choices, cost and error (relative, of V_L)."""
+    """One run: its choices, its cost and its error (relative, of V_L).
+
+    curve, choice: which line of the plot, which point on it; step: fixed, s, else None and
+    rate_change controls it; processor_seconds: of all threads together.
+    """
 
     alloy: str
     curve: str
     choice: str
-    nodes: int
-    horizon_ratio: float
+    horizon_ratio: int
+    spacing: float
+    liquid: str
     scheme: str
-    step_s: float | None
+    step: float | None
     rate_change: float | None
-    seconds: float
+    nodes: int
     steps: int
+    processor_seconds: float
+    seconds: float
+    volume_loss_7d: float
+    volume_loss_28d: float
     volume_loss_56d: float
     time_error: float
     lattice_error: float
@@ -54,158 +78,223 @@ class Row:
         """Bound of the error of this setting: time plus lattice."""
         return self.time_error + self.lattice_error
 
+    @property
+    def volume_loss(self) -> np.ndarray:
+        """V_L after 7, 28 and 56 days."""
+        return np.array([self.volume_loss_7d, self.volume_loss_28d, self.volume_loss_56d])
 
-def study_scene(alloy: str, ratio: float, horizon: float | None = None) -> CorrosionScene:
-    """The scene of an alloy's published set with spacing = horizon / ratio."""
-    from pipeline.corrosion_stage import corrosion_scene, domain_lattice, liquid_domain, metal_of
-    from pipeline.geometry_stage import build_solid
-    from pipeline.resolve import resolve_scene
 
-    scene = resolve_scene([alloy], ["0w", "8w"], "quick")
-    horizon = horizon or scene.lattice.horizon
-    scene = replace(
-        scene, lattice=replace(scene.lattice, spacing=horizon / ratio, horizon=horizon)
-    )
-    solid = build_solid(scene)
-    lattice, domain = domain_lattice(scene, liquid_domain(scene, solid.points))
-    return corrosion_scene(scene, alloy, lattice, domain, *metal_of(scene, lattice, solid))
+@dataclass(frozen=True)
+class Study:
+    """All rows, and what was measured beside them.
+
+    horizon: of all rows, m; exact: V_L at TIMES in the limit of no spacing, by alloy, for alloys
+    whose liquid is clean; spread: (alloy, ratio, error of 7, 28 and 56 d) standard deviation of
+    V_L over positions of the lattice; horizons: (alloy, horizon, V_L after 56 d); explicit:
+    (alloy, stable step in s, seconds of a step): forward Euler on the coarsest lattice.
+    """
+
+    rows: tuple[Row, ...]
+    horizon: float
+    exact: dict[str, tuple[float, ...]]
+    spread: tuple[tuple[str, int, tuple[float, ...]], ...]
+    horizons: tuple[tuple[str, float, float], ...]
+    explicit: tuple[tuple[str, float, float], ...]
+
+
+class _Cases:
+    """Corrosion scenes of one alloy on lattices of one solid."""
+
+    def __init__(self, alloy: str, solid: Solid | None = None) -> None:
+        self.alloy = alloy
+        self.base = resolve_scene([alloy], ["0w", "8w"], "quick")
+        self.horizon = self.base.lattice.horizon
+        self.solid = solid or build_solid(self.base)
+
+    def scene(
+        self, ratio: int, horizon: float | None = None, shift: np.ndarray | None = None
+    ) -> CorrosionScene:
+        """The scene with spacing = horizon / ratio; shift: of the lattice, in spacings."""
+        horizon = horizon or self.horizon
+        settings = replace(self.base.lattice, spacing=horizon / min(ratio, 8), horizon=horizon)
+        scene = replace(self.base, lattice=settings)
+        region = liquid_domain(scene, self.solid.points)
+        spacing = horizon / ratio
+        if ratio > 8 or shift is not None:
+            # Beyond what a run allows, and only in clean liquid: a tight box is enough.
+            lattice = _tight_lattice(self.solid, horizon, spacing, shift)
+            domain = np.ones(lattice.shape, bool)
+        else:
+            lattice, domain = domain_lattice(scene, region)
+        return corrosion_scene(
+            scene, self.alloy, lattice, domain, *metal_of(scene, lattice, self.solid)
+        )
+
+    def exact(self, times=TIMES) -> np.ndarray:
+        """V_L in clean liquid without a lattice."""
+        scene = self.scene(2)
+        return continuum_volume_loss(
+            self.solid, self.horizon, scene.dissolution_flux, scene.solid_concentration,
+            scene.saturation_concentration, scene.kinetics, times,
+        )  # fmt: skip
+
+
+def _tight_lattice(solid: Solid, horizon: float, spacing: float, shift) -> Lattice:
+    lower, upper = solid.points.min(axis=0), solid.points.max(axis=0)
+    margin = horizon + 2 * spacing
+    shift = np.full(3, 0.5) if shift is None else np.asarray(shift)
+    count = np.ceil((upper - lower + 2 * margin) / spacing).astype(int) + 1
+    return Lattice(tuple(lower - margin + (shift - 0.5) * spacing), (spacing,) * 3, tuple(count))
 
 
 def study_corrosion(
-    alloys: list[str], tell: Callable[[str], None], ratios: tuple[int, ...] = HORIZON_RATIOS
-) -> list[Row]:
+    alloys: list[str], tell: Callable[[str], None], ratios: tuple[int, ...] = RATIOS,
+    lean_ratios: tuple[int, ...] = LEAN_RATIOS,
+) -> Study:  # fmt: skip
     """Run the study; `tell` hears one line per run."""
-    rows: list[Row] = []
+    rows, exact, spread, horizons, explicit = [], {}, [], [], []
+    solid, horizon = None, 0.0
     for alloy in alloys:
-        rows += _study_alloy(alloy, tell, ratios)
-    return rows
+        cases = _Cases(alloy, solid)
+        solid, horizon = cases.solid, cases.horizon
+        coarse = cases.scene(ratios[0])
+        clean = any(o.name == LIQUID and o.applied for o in plan_omissions(coarse, TIMES[-1]))
+        truth = cases.exact()
+        rows += _Marches(cases, clean, truth, tell, ratios, lean_ratios).rows
+        explicit.append((alloy, *_explicit_cost(coarse)))
+        if clean:
+            exact[alloy] = tuple(map(float, truth))
+            spread += [(alloy, m, _position_spread(cases, m)) for m in (2, 4)]
+            horizons += [(alloy, d, _loss(cases, d)) for d in (100e-6, 200e-6, 300e-6)]
+    return Study(tuple(rows), horizon, exact, tuple(spread), tuple(horizons), tuple(explicit))
 
 
 def _relative(values, reference) -> float:
     return float(np.max(np.abs(np.asarray(values) / np.asarray(reference) - 1.0)))
 
 
-def _study_alloy(alloy: str, tell, ratios) -> list[Row]:
-    scenes = {m: study_scene(alloy, m) for m in ratios}
-    coarse = scenes[ratios[0]]
-    liquid_is_clean = any(
-        o.name == LIQUID and o.applied for o in plan_omissions(coarse, TIMES[-1])
-    )
-    # Where clean liquid is proven, the scalar equation is exact in time on every lattice.
-    converged = {
-        m: (
-            well_stirred(scene, TIMES)
-            if liquid_is_clean
-            else corrode(scene, TIMES, CONVERGED if m == ratios[0] else TimeStepping())
-        ).volume_loss
-        for m, scene in scenes.items()
-    }
-    finest = converged[ratios[-1]]
-    rows: list[Row] = []
+class _Marches:
+    """The runs of one alloy: every stepping on the coarsest lattice, then every lattice."""
 
-    def run(curve: str, choice: str, m: int, stepping: TimeStepping, lean: bool = False) -> None:
-        scene = scenes[m]
-        if lean:
-            result, _ = corrode_lean(scene, TIMES)
-        else:
-            result = corrode(scene, TIMES, stepping)
+    def __init__(self, cases, clean, truth, tell, ratios, lean_ratios) -> None:
+        self.cases, self.clean, self.tell = cases, clean, tell
+        self.rows: list[Row] = []
+        self.time_errors: dict[TimeStepping, float] = {}
+        self.scenes = {m: cases.scene(m) for m in ratios}
+        first = ratios[0]
+        # The first march pays for compilation; it is not recorded.
+        corrode(self.scenes[first], TIMES[:1], TimeStepping("backward_euler", 7 * DAY))
+        self._stepping(first)
+        self._lattices(ratios, truth)
+        if clean:
+            self._lean(lean_ratios, truth)
+
+    def _march(self, m: int, stepping: TimeStepping):
+        started = time.process_time()
+        result = corrode(self.scenes[m], TIMES, stepping)
+        return result, time.process_time() - started
+
+    def _add(self, curve, choice, m, stepping, result, processor, time_error, lattice_error):
         row = Row(
-            alloy, curve, choice, int(scene.domain.sum()), float(m), stepping.scheme,
-            stepping.step, None if stepping.step else stepping.rate_change, result.wall_time,
-            len(result.history["time"]) - 1, float(result.volume_loss[-1]),
-            _relative(result.volume_loss, converged[m]), _relative(converged[m], finest),
+            self.cases.alloy, curve, choice, m, self.cases.horizon / m,
+            "left out" if stepping is None else "computed",
+            "exact" if stepping is None else stepping.scheme,
+            stepping and stepping.step,
+            None if stepping is None or stepping.step else stepping.rate_change,
+            int(result.scene.domain.sum()), len(result.history["time"]) - 1,
+            processor, result.wall_time, *map(float, result.volume_loss),
+            time_error, lattice_error,
+        )  # fmt: skip
+        self.rows.append(row)
+        self.tell(
+            f"{row.alloy}, {curve}, {choice}: {processor:.2f} s; error of time "
+            f"{100 * time_error:.3f} %, of the lattice {100 * lattice_error:.2f} %"
         )
-        rows.append(row)
-        tell(
-            f"{alloy} {curve} {choice}: {row.seconds:.2f} s, error in time "
-            f"{100 * row.time_error:.3f} %, of the lattice {100 * row.lattice_error:.2f} %"
-        )
 
-    first = ratios[0]
-    # The first march pays for compilation; it is not recorded.
-    corrode(coarse, TIMES[:1], TimeStepping("backward_euler", STEPS[0]))
-    for scheme in ("backward_euler", "sdirk2"):
-        for step in STEPS:
-            run(f"{scheme}, fixed step", f"{step / 3600:.0f} h", first, TimeStepping(scheme, step))
-    for change in RATE_CHANGES:
-        stepping = TimeStepping("sdirk2", rate_change=change)
-        run("sdirk2, controlled step", f"{change:g}", first, stepping)
-    for m in ratios[:-1]:
-        run("lattice spacing", f"delta / {m}", m, TimeStepping())
-    if liquid_is_clean:
-        for m in ratios[:-1]:
-            run("liquid left out", f"delta / {m}", m, TimeStepping(), lean=True)
-    return rows
-
-
-def horizon_effect(alloy: str, ratio: int = 4) -> list[tuple[float, float]]:
-    """(delta, V_L after 56 days) in clean liquid for other horizons: what delta itself does."""
-    return [
-        (delta, float(well_stirred(study_scene(alloy, ratio, delta), TIMES).volume_loss[-1]))
-        for delta in (100e-6, 200e-6, 300e-6)
-    ]
-
-
-def observed_orders(rows: list[Row]) -> list[tuple[str, str, float]]:
-    """(alloy, curve, order): slope of log error over log step, control target or spacing."""
-    found = []
-    keys = {(r.alloy, r.curve): None for r in rows}
-    for alloy, curve in keys:
-        chosen = [r for r in rows if (r.alloy, r.curve) == (alloy, curve)]
-        if curve in ("lattice spacing", "liquid left out"):
-            points = [(1.0 / r.horizon_ratio, r.lattice_error) for r in chosen]
+    def _stepping(self, m: int) -> None:
+        """Time error of every stepping on the coarsest lattice."""
+        if self.clean:
+            exact = well_stirred(self.scenes[m], TIMES).volume_loss
         else:
-            points = [(r.step_s or r.rate_change, r.time_error) for r in chosen]
-        points = [(h, e) for h, e in points if e > 1e-12]
-        if len(points) >= 2:
-            slope = np.polyfit(np.log([h for h, _ in points]), np.log([e for _, e in points]), 1)
-            found.append((alloy, curve, float(slope[0])))
-    return found
+            exact = self._march(m, TimeStepping("sdirk2", rate_change=CONVERGED))[0].volume_loss
+        for scheme, curve in zip(("backward_euler", "sdirk2"), STEP_CURVES[:2], strict=True):
+            for step in STEPS:
+                self._time(curve, f"{step / HOUR:.0f} h", m, TimeStepping(scheme, step), exact)
+        for change in RATE_CHANGES:
+            stepping = TimeStepping("sdirk2", rate_change=change)
+            self._time(STEP_CURVES[2], f"{change:g}", m, stepping, exact)
+
+    def _time(self, curve, choice, m, stepping, exact) -> None:
+        result, processor = self._march(m, stepping)
+        self.time_errors[stepping] = _relative(result.volume_loss, exact)
+        # The lattice's error is filled in once it is known.
+        self._add(curve, choice, m, stepping, result, processor, self.time_errors[stepping], 0.0)
+
+    def _lattices(self, ratios, truth) -> None:
+        """Lattice error of every spacing, with two steppings."""
+        runs = {m: self._march(m, COMMON) for m in ratios}
+        finest = ratios[-1]
+        if self.clean:
+            errors = {
+                m: _relative(well_stirred(self.scenes[m], TIMES).volume_loss, truth) for m in ratios
+            }
+        else:
+            own = _relative(well_stirred(self.scenes[finest], TIMES).volume_loss, truth)
+            best = runs[finest][0].volume_loss
+            errors = {m: own + _relative(runs[m][0].volume_loss, best) for m in ratios}
+        self.rows = [replace(row, lattice_error=errors[ratios[0]]) for row in self.rows]
+        for m, (result, processor) in runs.items():
+            self._add(
+                LATTICE_CURVES[0], f"δ/{m}", m, COMMON, result, processor,
+                self.time_errors[COMMON], errors[m],
+            )  # fmt: skip
+        stepping = TimeStepping("backward_euler", 24 * HOUR)
+        # Where the liquid saturates this takes minutes on the finer lattices.
+        for m in ratios[: -1 if self.clean else -2]:
+            result, processor = self._march(m, stepping)
+            self._add(
+                LATTICE_CURVES[1], f"δ/{m}", m, stepping, result, processor,
+                self.time_errors[stepping], errors[m],
+            )  # fmt: skip
+
+    def _lean(self, ratios, truth) -> None:
+        """What leaving the liquid out costs and errs: the scalar equation, exact in time."""
+        for m in ratios:
+            scene = self.scenes.get(m) or self.cases.scene(m)
+            started, bound = time.process_time(), 0.0
+            if m in self.scenes:
+                result, omissions = corrode_lean(scene, TIMES)
+                bound = next(o.bound for o in omissions if o.name == LIQUID)
+            else:
+                result = well_stirred(scene, TIMES)
+            processor = time.process_time() - started
+            error = _relative(result.volume_loss, truth)
+            self._add(LATTICE_CURVES[2], f"δ/{m}", m, None, result, processor, bound, error)
 
 
-def cheapest(rows: list[Row]) -> list[tuple[str, float, Row | None]]:
-    """(alloy, wanted error, cheapest run that reaches it or None)."""
-    out = []
-    for alloy in {r.alloy: None for r in rows}:
-        for wanted in WANTED_ERRORS:
-            good = [r for r in rows if r.alloy == alloy and r.error <= wanted]
-            out.append((alloy, wanted, min(good, key=lambda r: r.seconds, default=None)))
-    return out
+def _explicit_cost(scene: CorrosionScene) -> tuple[float, float]:
+    """Forward Euler: longest stable step (s), and processor seconds of one step."""
+    problem = BiMaterial(scene)
+    limit = 1.0 / problem.fastest_rate()
+    state, _, _ = problem.explicit_step(problem.initial_concentration.copy(), limit, 0.0)
+    started = time.process_time()
+    for _ in range(5):
+        state, _, _ = problem.explicit_step(state, limit, 0.0)
+    return limit, (time.process_time() - started) / 5
 
 
-def write_study(rows: list[Row], folder: Path) -> list[Path]:
-    """Write corrosion.csv and the work-precision plot corrosion.png into `folder`."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+def _position_spread(cases: _Cases, ratio: int, positions: int = 5) -> tuple[float, ...]:
+    """Standard deviation of V_L at TIMES, relative, over random positions of the lattice."""
+    random = np.random.default_rng(0)
+    values = np.array(
+        [
+            well_stirred(cases.scene(ratio, shift=random.random(3)), TIMES).volume_loss
+            for _ in range(positions)
+        ]
+    )
+    return tuple(map(float, values.std(axis=0, ddof=1) / values.mean(axis=0)))
 
-    folder.mkdir(parents=True, exist_ok=True)
-    table = folder / "corrosion.csv"
-    temporary = table.with_suffix(".tmp")
-    with temporary.open("w", newline="") as file:
-        writer = csv.DictWriter(file, [*asdict(rows[0]), "error"])
-        writer.writeheader()
-        for row in rows:
-            writer.writerow({**asdict(row), "error": row.error})
-    os.replace(temporary, table)
-    alloys = list({r.alloy: None for r in rows})
-    figure = Figure(figsize=(6.4 * len(alloys), 5.0), layout="constrained")
-    FigureCanvasAgg(figure)
-    for axes, alloy in zip(figure.subplots(1, len(alloys), squeeze=False)[0], alloys, strict=True):
-        for curve in {r.curve: None for r in rows if r.alloy == alloy}:
-            chosen = [r for r in rows if (r.alloy, r.curve) == (alloy, curve)]
-            spatial = curve in ("lattice spacing", "liquid left out")
-            errors = [r.lattice_error if spatial else r.time_error for r in chosen]
-            label = f"{curve} ({'lattice' if spatial else 'time'} error)"
-            axes.loglog([r.seconds for r in chosen], np.maximum(errors, 1e-9), "o-", label=label)
-            for r, e in zip(chosen, errors, strict=True):
-                axes.annotate(r.choice, (r.seconds, max(e, 1e-9)), fontsize=7,
-                              xytext=(3, 3), textcoords="offset points")
-        axes.set_xlabel("run time / s")
-        axes.set_ylabel("largest relative error of the volume loss")
-        axes.set_title(f"{alloy}: 7, 28 and 56 days")
-        axes.grid(True, which="both", linewidth=0.3)
-        axes.legend(fontsize=8)
-    picture = folder / "corrosion.png"
-    figure.savefig(folder / "corrosion.tmp.png", dpi=130)
-    os.replace(folder / "corrosion.tmp.png", picture)
-    return [table, picture]
+
+def _loss(cases: _Cases, horizon: float, ratio: int = 4) -> float:
+    """V_L after 56 days in clean liquid with another horizon."""
+    return float(well_stirred(cases.scene(ratio, horizon), TIMES).volume_loss[-1])
