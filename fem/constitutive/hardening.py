@@ -137,8 +137,8 @@ def flow_stress(kind: int, parameters: np.ndarray, strain: float) -> tuple[float
 def fit_voce(yield_stress: float, ultimate_stress: float, uniform_strain: float) -> VoceHardening:
     """Fit Voce's law through yield, Considere's condition and the ultimate strength.
 
-    With e = ln(1 + uniform_strain) and true stress s = ultimate_stress (1 + uniform_strain), the law
-    must give s(e) = s and ds/de(e) = s. With s0 = yield_stress this leaves one equation
+    With e = ln(1 + uniform_strain) and true stress s = ultimate_stress (1 + uniform_strain), the
+    law must give s(e) = s and ds/de(e) = s. With s0 = yield_stress this leaves one equation
     for x = b e: x / (exp(x) - 1) = s e / (s - s0), which has one positive root when s e < s - s0.
 
     Stresses in Pa (engineering), strain engineering. Raises ValueError where no such law exists.

@@ -1,6 +1,6 @@
 """Input and output of CalculiX, an independent finite element code (Debian: calculix-ccx).
 
-Models are written in mm, N and MPa: its stopping criteria have absolute parts made for such numbers.
+Models are written in mm, N and MPa.
 """
 
 from __future__ import annotations

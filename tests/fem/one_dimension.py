@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 
 
 def uniaxial_curve(young, poisson, hardening, q1, f0, multiplier_end, points=400):
-    """Return engineering strain, force per initial area [Pa], f and plastic strain along the curve."""
+    """Engineering strain, force per initial area [Pa], f and plastic strain along the curve."""
 
     def stress(f, strain):
         flow = hardening(strain)
