@@ -18,6 +18,7 @@ import numpy as np
 
 from peri import kernels
 from peri.corrosion import saturation
+from peri.corrosion.faradaic import FaradaicInterface
 from peri.corrosion.interface import Interface
 from peri.corrosion.scene import CorrosionScene
 from peri.operators import NonlocalSum
@@ -45,6 +46,10 @@ class Stage:
     release_rate: float
     iterations: int
     rounds: int
+    emptied: np.ndarray | None = None
+    """Metal nodes that are empty (Faraday's law only); what they hold is their liquid's."""
+    late: float = 0.0
+    """Share of the interface flux whose time is an estimate (FaradaicInterface.late)."""
 
 
 class BiMaterial:
@@ -83,9 +88,10 @@ class BiMaterial:
         metal_volume = processes.total(float(self.capacity[self.metal].sum()))
         self.metal_scale = metal_volume * scene.solid_concentration
         """sum over the initial metal of c C_solid (in cells)."""
-        self._loss_scale = metal_volume * (
-            scene.solid_concentration - scene.saturation_concentration
-        )
+        self.faradaic = scene.dissolution == "faradaic"
+        self.liquid_below = 0.0 if self.faradaic else scene.saturation_concentration
+        """Metal with no more than this is liquid, mol/m^3."""
+        self._loss_scale = metal_volume * (scene.solid_concentration - self.liquid_below)
         self.base_diffusivity = scene.base_interface_diffusivity()
         self._system: DiffusionSystem | None = None
         self._make_box()
@@ -147,9 +153,13 @@ class BiMaterial:
         """Drop the preconditioner of earlier stages."""
         self._system = None
 
-    def dissolve(self, concentration: np.ndarray) -> int:
-        """Turn metal nodes below C_sat into liquid; returns how many."""
-        gone = self.metal & (concentration < self.scene.saturation_concentration)
+    def dissolve(self, concentration: np.ndarray, emptied: np.ndarray | None = None) -> int:
+        """Turn metal nodes below C_sat (or emptied ones) into liquid; returns how many."""
+        gone = emptied
+        if not self.faradaic:
+            gone = self.metal & (concentration < self.liquid_below)
+        elif gone is None:
+            return 0
         count = int(self.processes.total(int(gone.sum())))
         if count:
             self.metal &= ~gone
@@ -166,8 +176,7 @@ class BiMaterial:
         """
         if self._loss_scale == 0:
             return 0.0
-        values = concentration[self.metal] - self.scene.saturation_concentration
-        values = np.maximum(values, 0.0)
+        values = np.maximum(concentration[self.metal] - self.liquid_below, 0.0)
         left = self.processes.total(float((values * self.capacity[self.metal]).sum()))
         return min(1.0, max(0.0, 1.0 - left / self._loss_scale))
 
@@ -231,12 +240,12 @@ class BiMaterial:
         scene, total = self.scene, self.processes.total
         saturated = scene.saturation_concentration
         y = np.where(self.free, guess, 0.0)
-        state = Interface(self, old, tau)
+        state = (FaradaicInterface if self.faradaic else Interface)(self, old, tau)
         if scene.saturation == "as_published":
             state.switch_off(np.where(self.free & (old >= saturated), self.capacity, 0.0))
-        if theta is None:
-            theta = (self.box_liquid_volume > 0).astype(float)
         complementary = scene.saturation == "complementarity"
+        if theta is None or not complementary:
+            theta = (self.box_liquid_volume > 0).astype(float)
         active = np.zeros(self.box.padded_shape, bool)
         if complementary:
             active = (theta < 1.0) & (self.box_free_volume > 0)
@@ -288,9 +297,13 @@ class BiMaterial:
             volume_loss, theta = self._loss_of(metal), bonds_on
         result = np.where(self.free, y, 0.0)
         view = result[self.window]
-        view[self.box_metal[self.box.interior]] = metal[self.box_metal]
+        view[self.box_metal[self.box.interior]] = (metal + state.gained)[self.box_metal]
         self._close_balance(result, old, tau * release, active)
-        return Stage(result, theta, volume_loss, release, total_iterations, rounds)
+        emptied = None if state.emptied is None else self.put(state.emptied) > 0
+        return Stage(
+            result, theta, volume_loss, release, total_iterations, rounds, emptied,
+            state.late(),
+        )
 
     def _close_balance(self, result, old, released: float, active) -> None:
         """Scale the liquid (or the metal) so that the stage's amounts add up to round-off.
@@ -382,8 +395,7 @@ class BiMaterial:
         return volume_loss
 
     def _loss_of(self, box_metal_concentration: np.ndarray) -> float:
-        values = box_metal_concentration[self.box_metal] - self.scene.saturation_concentration
-        values = np.maximum(values, 0.0)
+        values = np.maximum(box_metal_concentration[self.box_metal] - self.liquid_below, 0.0)
         left = self.processes.total(
             float((values * self.box_metal_volume[self.box_metal]).sum())
         )
@@ -434,15 +446,15 @@ class BiMaterial:
             extra_diagonal = None
             if state is not None:
                 extra_diagonal = np.zeros(self.sum.padded_shape)
-                own = state.theta * self.box_free_volume * state.rate * state.seen_metal
-                extra_diagonal[self.window] = own[self.box.interior]
+                extra_diagonal[self.window] = state.diagonal()[self.box.interior]
                 extra_diagonal *= weight > 0
                 sink = sink + extra_diagonal * state.storage_share
             self._system = DiffusionSystem(
                 self.sum, weight, diagonal, d, sink, extra_diagonal=extra_diagonal
             )
             self._system_key = key
-        self._system.extra = None if state is None else self._coupling(state, weight)
+        coupled = state is not None and not self.faradaic
+        self._system.extra = self._coupling(state, weight) if coupled else None
         return self._system
 
     def _coupling(self, state, weight):
@@ -452,7 +464,8 @@ class BiMaterial:
         def add(u, y):
             box_u = np.where(unknown > 0, self.take(u), 0.0)
             through = state.through_metal(box_u)
-            share = state.theta * unknown * state.rate * (state.seen_metal * box_u - through)
+            share = state.diagonal() * (unknown > 0) * box_u
+            share -= state.theta * unknown * state.rate * through
             y[self.window] += share[self.box.interior]
             return float(kernels.inner_product(share, box_u).sum())
 
@@ -461,8 +474,7 @@ class BiMaterial:
     def _interface_balance(self, y, old, tau, state, metal, active):
         """Inflow that each active node needs to stay at C_sat, and what theta = 1 would bring."""
         d, saturated = self.scene.liquid_diffusivity, self.scene.saturation_concentration
-        seen = self.box(self.box_metal_volume * metal * state.on)
-        available = self.box_free_volume * state.rate * (seen - state.seen_metal * saturated)
+        available = state.offered(metal, saturated)
         gain = self.sum(self.liquid_volume * y)
         needed = self.capacity * ((y - old) / tau - d * (gain - self.neighbour_liquid * y))
         return np.where(active, self.take(needed), 0.0), np.maximum(available, 0.0)
@@ -474,7 +486,6 @@ class BiMaterial:
         gain = self.sum(self.liquid_volume * y)
         rate = self.scene.liquid_diffusivity * float((gain * self.capacity)[self.fixed].sum())
         if state is not None:
-            seen = self.box(self.box_metal_volume * metal * state.on) * state.rate
             fixed = self.take(np.where(self.fixed, self.capacity, 0.0))
-            rate += float((seen * fixed).sum())
+            rate += float((state.to_refreshed(metal) * fixed).sum())
         return self.processes.total(rate) * self.scene.lattice.cell_volume

@@ -10,11 +10,18 @@ from peri.corrosion import saturation
 class Interface:
     """Metal-liquid exchange of one stage on the box around the metal."""
 
+    emptied = None  # metal nodes that the stage empties; their content is then their liquid's
+    gained = 0.0
+
     def __init__(self, problem, old: np.ndarray, tau: float) -> None:
         self.p, self.tau = problem, tau
         self.old_metal = problem.take(old)
         self.on = problem.box_metal.astype(float)
         self.seen_metal = problem.box(problem.box_metal_volume)
+
+    def late(self) -> float:
+        """Share of the flux whose time is an estimate: none, bonds follow the content."""
+        return 0.0
 
     def switch_off(self, saturated_volume: np.ndarray) -> None:
         """Algorithm 1: no exchange for metal nodes that see saturated liquid."""
@@ -63,9 +70,21 @@ class Interface:
 
     def liquid_gain(self, liquid: np.ndarray) -> np.ndarray:
         """Net interface inflow of the free liquid nodes for given liquid values."""
-        p = self.p
-        seen = p.box(p.box_metal_volume * self.on * self.metal_concentration(liquid))
-        return self.theta * p.box_free_volume * self.rate * (seen - self.seen_metal * liquid)
+        return self.theta * self.offered(self.metal_concentration(liquid), liquid)
+
+    def offered(self, metal: np.ndarray, liquid) -> np.ndarray:
+        """Interface inflow of the free liquid nodes with theta = 1, for given values."""
+        return self.p.box_free_volume * (
+            self.to_refreshed(metal) - self.rate * self.seen_metal * liquid
+        )
+
+    def to_refreshed(self, metal: np.ndarray) -> np.ndarray:
+        """Interface inflow per relative volume of liquid held at zero."""
+        return self.rate * self.p.box(self.p.box_metal_volume * self.on * metal)
+
+    def diagonal(self) -> np.ndarray:
+        """The liquid's own share of its outflow into the metal."""
+        return self.theta * self.p.box_free_volume * self.rate * self.seen_metal
 
     def correct(self, metal: np.ndarray, change: np.ndarray, saturated: float) -> np.ndarray:
         """Metal after the flux of the active nodes changed by `change` in theta."""

@@ -124,6 +124,10 @@ def _liquid(scene, end_time, tolerance, refused) -> Omission:
     eps = max C_liquid / C_solid each node's loss differs by at most the share eps; a kinetics
     that only slows with V_L keeps V_L(t) within eps / (1 - eps) of the clean-liquid value.
     """
+    if scene.dissolution != "proportional":
+        return Omission(
+            LIQUID, "needed: a front that moves at a given flux is marched", math.inf, False
+        )
     factors = [scene.kinetics.factor(v) for v in np.linspace(0.0, 1.0, 101)]
     if np.any(np.diff(factors) > 0):
         return Omission(LIQUID, "needed: the kinetics speeds up with volume loss", math.inf, False)
@@ -131,7 +135,10 @@ def _liquid(scene, end_time, tolerance, refused) -> Omission:
     reach = bound[scene.domain & ~scene.metal].max(initial=0.0)
     if not np.isfinite(reach):
         return Omission(
-            LIQUID, "needed: some liquid cannot reach refreshed medium and fills up", math.inf, False
+            LIQUID,
+            "needed: some liquid cannot reach refreshed medium and fills up",
+            math.inf,
+            False,
         )
     if reach >= scene.saturation_concentration and scene.saturation != "none":
         return Omission(

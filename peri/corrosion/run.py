@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import time as clock
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -18,6 +19,12 @@ from peri.processes import ONE_PROCESS, OneProcess
 from peri.solvers import ConvergenceError
 
 log = logging.getLogger(__name__)
+
+_LATE = 4.0
+"""Weight of the flux whose time is an estimate in the control of steps under Faraday's law."""
+_JUMP = 0.7
+"""A change that a shorter step leaves at this share is a jump, which no step resolves."""
+
 
 HISTORY = (
     "time", "step", "volume_loss", "metal_amount", "liquid_amount", "released_amount",
@@ -107,6 +114,11 @@ def corrode(
             "scheme: 'sdirk2' with saturation 'as_published'; its switch lasts for a step, so "
             "use backward_euler with a fixed step"
         )
+    if problem.faradaic and stepping.scheme == "forward_euler":
+        raise ValueError(
+            "scheme: 'forward_euler' with dissolution 'faradaic'; use backward_euler or sdirk2, "
+            "which know when a node is empty"
+        )
     mark = processes.on_root(
         lambda: results.fingerprint(scene, times, stepping, solver_tolerance)
     )
@@ -193,6 +205,7 @@ def _initial(problem: BiMaterial, stepping: TimeStepping, times) -> _State:
 def _advance(problem: BiMaterial, state: _State, stepping: TimeStepping, target: float) -> None:
     """One accepted step, in place."""
     problem.forget()  # so that a step depends on the state alone, and a resumed march is the same
+    rejected = math.inf
     while True:
         step = step_towards(state.time, target, state.step)
         try:
@@ -204,10 +217,11 @@ def _advance(problem: BiMaterial, state: _State, stepping: TimeStepping, target:
             state.step = 0.25 * step
             continue
         if stepping.step is None and stepping.scheme != "forward_euler":
-            if change > 2.5 * stepping.rate_change and step > 1e-9 * target:
-                state.step = next_step(step, change, stepping.rate_change)
+            jump = change > _JUMP * rejected
+            if change > 2.5 * stepping.rate_change and step > 1e-9 * target and not jump:
+                state.step, rejected = next_step(step, change, stepping.rate_change), change
                 continue
-            proposal = next_step(step, change, stepping.rate_change)
+            proposal = step if jump else next_step(step, change, stepping.rate_change)
             # A step shortened to hit an output time says nothing against the longer one.
             state.step = max(proposal, state.step if step < state.step else 0.0)
             state.step = min(state.step, 2.0 * max(step, 0.5 * state.step))
@@ -223,8 +237,8 @@ def _advance(problem: BiMaterial, state: _State, stepping: TimeStepping, target:
     else:
         rate = last.release_rate
     state.released += step * rate
+    dissolved = problem.dissolve(new, last.emptied)
     state.volume_loss = problem.volume_loss(new)
-    dissolved = problem.dissolve(new)
     _record(problem, state, step, stages, dissolved)
 
 
@@ -238,31 +252,48 @@ def _try_step(problem: BiMaterial, state: _State, scheme: str, step: float):
     slope = old - state.previous
     if scheme == "backward_euler":
         guess = _guess(problem, old, slope, growth)
-        stage = problem.implicit_stage(old, step, guess, state.theta, state.volume_loss)
-        predicted = old + growth * slope
         share = 1.0 / (1.0 + 1.0 / growth) if growth else 1.0
-        change = share * _relative_change(problem, old, stage.concentration, predicted)
-        return stage.concentration, [stage], change
+        return _first_order(problem, state, step, guess, growth * slope, share)
     guess = _guess(problem, old, slope, GAMMA * growth)
     first = problem.implicit_stage(old, GAMMA * step, guess, state.theta, state.volume_loss)
     rate = (first.concentration - old) / GAMMA
     right = old + (1.0 - GAMMA) * rate
+    if problem.faradaic and problem.processes.any(right.min() < 0 or first.emptied.any()):
+        return _first_order(problem, state, step, guess, rate)
     guess = _guess(problem, old, rate, 1.0)
     try:
         second = problem.implicit_stage(
             right, GAMMA * step, guess, first.theta, first.volume_loss
         )
         new = second.concentration
-        if not _out_of_bounds(problem, old, new):
-            return new, [first, second], _relative_change(problem, old, new, old + rate)
+        if problem.faradaic and problem.processes.any(second.emptied.any()):
+            pass
+        elif problem.faradaic and not _out_of_bounds(problem, old, new):
+            change = _faradaic_change(problem, state, step, second)
+            return new, [first, second], change
+        elif not _out_of_bounds(problem, old, new):
+            return new, [first, second], _relative_change(problem, new - old, rate)
     except (BoundsError, ConvergenceError) as error:
         # A right side above C_sat may have no solution at all, which a round of the active set
         # cannot tell from slow progress; a first-order step always has one.
         log.debug("first-order step of %.3g s: %s", step, error)
     # The second-order method is not positive for steps that empty or fill a node; this one is.
+    return _first_order(problem, state, step, guess, rate)
+
+
+def _first_order(problem: BiMaterial, state: _State, step: float, guess, expected, share=1.0):
+    """A backward Euler step; see _try_step.
+
+    expected : change of the concentrations that a constant rate would bring.  share : of the
+    difference from it that counts as a change of the rate.
+    """
+    old = state.concentration
     stage = problem.implicit_stage(old, step, guess, state.theta, state.volume_loss)
-    new = stage.concentration
-    return new, [stage], _relative_change(problem, old, new, old + rate)
+    if problem.faradaic:
+        change = _faradaic_change(problem, state, step, stage)
+    else:
+        change = share * _relative_change(problem, stage.concentration - old, expected)
+    return stage.concentration, [stage], change
 
 
 def _guess(problem: BiMaterial, old, slope, factor):
@@ -270,15 +301,26 @@ def _guess(problem: BiMaterial, old, slope, factor):
     return np.clip(old + factor * slope, 0.0, problem.scene.solid_concentration)
 
 
-def _relative_change(problem: BiMaterial, old, new, predicted) -> float:
-    """Amount-weighted difference of two results, relative to what the step dissolved."""
+def _relative_change(problem: BiMaterial, change, expected) -> float:
+    """Difference of the metal's change from the expected one, node by node, over their loss."""
     metal = problem.metal
     volume, total = problem.capacity[metal], problem.processes.total
-    progress = total(float((volume * np.abs(new[metal] - old[metal])).sum()))
+    progress = total(float((volume * np.abs(change[metal])).sum()))
     # What the solver's tolerance moves says nothing about the rate.
     if progress <= 0.1 * problem.tolerance * problem.metal_scale:
         return 0.0
-    return total(float((volume * np.abs(new[metal] - predicted[metal])).sum())) / progress
+    return total(float((volume * np.abs(change - expected)[metal]).sum())) / progress
+
+
+def _faradaic_change(problem: BiMaterial, state: _State, step: float, stage: Stage) -> float:
+    """The same under Faraday's law, in sum: a moving front hands its rate from node to node."""
+    past = state.history["volume_loss"]
+    lost = stage.volume_loss - state.volume_loss
+    change = 0.0
+    if len(past) > 1 and lost > 0.1 * problem.tolerance:
+        expected = step / state.previous_step * (past[-1] - past[-2])
+        change = abs(lost - expected) / lost
+    return max(change, _LATE * stage.late)
 
 
 def _out_of_bounds(problem: BiMaterial, old, new) -> bool:

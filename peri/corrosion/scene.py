@@ -14,6 +14,7 @@ from peri.lattice import Lattice
 
 BOUNDARIES = ("refreshed", "no_flux")
 FLUX_CALIBRATIONS = ("isotropic", "axis")
+DISSOLUTION_LAWS = ("proportional", "faradaic")
 SATURATION_MODELS = ("complementarity", "as_published", "none")
 
 
@@ -49,6 +50,9 @@ class CorrosionScene:
     flux_calibration : {"isotropic", "axis"}
         S as the mean over all orientations of the front (for bodies), or of a front along the
         lattice's axes (exact for a flat front that lies so).
+    dissolution : {"proportional", "faradaic"}
+        What an interface bond carries: D_int w (C_i - C_j), or the flux of Faraday's law,
+        D_int w C_solid, until its metal node is empty (faradaic.py).
     kinetics : object with factor(volume_loss)
     kernel_exponent, influence, calibration :
         See influence.diffusion_stencil.
@@ -72,6 +76,7 @@ class CorrosionScene:
     interface_diffusivity: float | None = None
     dissolution_flux: float | None = None
     flux_calibration: str = "isotropic"
+    dissolution: str = "proportional"
     kinetics: object = ConstantRate()
     kernel_exponent: float = 0.0
     influence: str = "constant"
@@ -95,11 +100,17 @@ class CorrosionScene:
             ("boundary", BOUNDARIES),
             ("saturation", SATURATION_MODELS),
             ("flux_calibration", FLUX_CALIBRATIONS),
+            ("dissolution", DISSOLUTION_LAWS),
         ):
             if getattr(self, name) not in allowed:
                 raise ValueError(
                     f"{name}: {getattr(self, name)!r}; allowed: {', '.join(allowed)}"
                 )
+        if self.dissolution == "faradaic" and self.saturation == "as_published":
+            raise ValueError(
+                "saturation: 'as_published' with dissolution 'faradaic'; its switch belongs to "
+                "the proportional law, allowed: complementarity, none"
+            )
         for name in ("solid_concentration", "saturation_concentration", "liquid_diffusivity"):
             _check_positive(name, getattr(self, name))
         if not self.saturation_concentration < self.solid_concentration:

@@ -41,6 +41,11 @@ def well_stirred(
     CorrosionResult
         Liquid concentrations are 0; history has a hundred even times and the output times.
     """
+    if scene.dissolution != "proportional":
+        raise ValueError(
+            f"dissolution: {scene.dissolution!r}; clean liquid reduces to one equation for "
+            "'proportional' only"
+        )
     started = clock.perf_counter()
     times = np.asarray(times, float)
     problem = BiMaterial(scene)
