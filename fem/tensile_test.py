@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -25,6 +25,7 @@ from fem.newton import EquilibriumSolver
 from fem.patches import make_patches
 from fem.quadrature import Element, find_element
 from fem.quadrature_state import QuadratureState
+from fem.results import Increment, restore
 from fem.solid import Grips, Held, Remains, destinations, guide_vertices, remains
 from fem.solvers import SOLVERS, LinearSolver
 
@@ -122,6 +123,8 @@ def tensile_test(
     settings: TensileSettings | None = None,
     comm: MPI.Comm = MPI.COMM_WORLD,
     progress: Progress | None = None,
+    observers: Sequence[Callable[[Increment], None]] = (),
+    resume: str | os.PathLike | None = None,
 ) -> TensileResult:
     """Pull a solid and return its force-elongation curve.
 
@@ -129,6 +132,7 @@ def tensile_test(
     ----------
     points: (n, 3) vertices [m]; cells: (nc, 4); f0: (nc, nq) damage variable in [0, f_max] at the
     points of `fem.quadrature.quadrature_points`, or (nc,) or a scalar. Read on rank 0 only.
+    observers: called after each accepted increment; resume: a checkpoint (see `fem.results`).
 
     Raises ValueError for input outside its range. Results do not depend on the number of ranks
     beyond the solver tolerance (tests/fem/test_parallel.py).
@@ -155,7 +159,9 @@ def tensile_test(
         return TensileResult(
             zero, zero.copy(), summary["held"].length, 0.0, 0.0, status, **summary["counts"]
         )
-    return _Test(comm, prepared, summary, material, settings, element).run(progress)
+    return _Test(comm, prepared, summary, material, settings, element).run(
+        progress, observers, resume
+    )
 
 
 @dataclass
@@ -237,6 +243,7 @@ class _Test:
     ):
         self.started = time.perf_counter()
         self.comm, self.settings, self.summary = comm, settings, summary
+        self.material = material
         self.prepared, self.held = prepared, summary["held"]
         threads = settings.threads or (os.cpu_count() or 1 if comm.size == 1 else 1)
         root = comm.rank == 0
@@ -292,7 +299,7 @@ class _Test:
             fixed[mesh.input_vertices == number, direction] = True
         return fixed
 
-    def run(self, progress: Progress | None) -> TensileResult:
+    def run(self, progress: Progress | None, observers=(), resume=None) -> TensileResult:
         """March to the end of the test."""
         s, length = self.settings, self.held.length
         displacement = np.zeros_like(self.discretisation.coordinates)
@@ -300,6 +307,9 @@ class _Test:
         strain, size, status = 0.0, min(s.first_increment, s.maximum_strain), "completed"
         rows: list[dict[str, float]] = [self._row(0.0, 0.0, 0, 0, 0.0, 0.0, 0.0)]
         halvings, peak, work, dissipated = 0, 0.0, 0.0, 0.0
+        if resume is not None:
+            (displacement, previous, previous_size, strain, size, peak, work, dissipated,
+             rows) = restore(self, resume)  # fmt: skip
         while strain < s.maximum_strain * (1 - 1e-12):
             size = min(size, s.maximum_strain - strain)
             outcome, tried = self._increment(
@@ -334,8 +344,19 @@ class _Test:
                 progress(
                     strain / s.maximum_strain, f"strain {strain:.4f}, force {outcome.force:.4g} N"
                 )
-            if self._remove_dead():
-                previous = None
+            if outcome.iterations <= _EASY and halvings == 0:
+                size = min(1.5 * size, s.maximum_increment)
+            elif outcome.iterations > _HARD:
+                size *= 0.7
+            halvings = 0
+            removed = self._remove_dead()
+            previous = None if removed else previous
+            for observer in observers:
+                observer(
+                    Increment(self, displacement, previous, previous_size, strain, size, peak,
+                              work, dissipated, rows)
+                )  # fmt: skip
+            if removed:
                 if self._parted():
                     status = "past_peak"
                     rows.append(self._row(strain * length, 0.0, 0, 0, work, 0.0, dissipated))
@@ -343,11 +364,6 @@ class _Test:
             if not s.full_curve and outcome.force < (1.0 - s.peak_drop) * peak:
                 status = "past_peak"
                 break
-            if outcome.iterations <= _EASY and halvings == 0:
-                size = min(1.5 * size, s.maximum_increment)
-            elif outcome.iterations > _HARD:
-                size *= 0.7
-            halvings = 0
         result = self._result(rows, status, displacement)
         self.linear.destroy()
         return result

@@ -1,0 +1,278 @@
+"""What a tensile test leaves on disk while it runs: ParaView series and checkpoints.
+
+Observers are called on every rank after each accepted increment with an `Increment`:
+
+    tensile_test(..., observers=[ParaviewSeries("out", every=5), Checkpoint("out/checkpoint.h5")])
+    tensile_test(..., resume="out/checkpoint.h5")
+
+Files are written by rank 0 under a temporary name and moved into place. A checkpoint is kept by the
+numbers of the input (cells, vertices, edges as pairs of vertices), so it can be resumed on any
+number of ranks.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from fem.quadrature import EDGES
+from fem.quadrature_state import Fields
+
+SCHEMA_VERSION = 1
+
+
+@dataclass(frozen=True)
+class Increment:
+    """One accepted increment as an observer sees it; arrays are this rank's, not to be changed."""
+
+    test: Any  # the running test: comm, discretisation, state, assembler.alive
+    displacement: np.ndarray  # (n, 3) of the local nodes [m]
+    previous: np.ndarray | None  # (n, 3) growth in the last increment [m], the next prediction
+    previous_size: float  # strain of the last increment
+    strain: float  # elongation over length
+    size: float  # strain of the next increment
+    peak: float  # largest force so far [N]
+    work: float  # of the grips [J]
+    dissipated: float  # [J]
+    rows: list[dict[str, float]]  # the history up to here, see TensileResult.history
+
+    @property
+    def number(self) -> int:
+        """1 for the first increment."""
+        return len(self.rows) - 1
+
+    @property
+    def force(self) -> float:
+        """Axial force in the top grip [N]."""
+        return self.rows[-1]["force"]
+
+    @property
+    def fields(self) -> Fields:
+        """Quadrature state (nl, nq, ...) of the local cells, ghosts included."""
+        return self.test.state.old
+
+
+class ParaviewSeries:
+    """Observer that writes `name`_0001.vtu ... and `name`.pvd; its time is the strain in per cent.
+
+    Points: displacement [m]. Cells still in place (means over their quadrature points): equivalent
+    and mean Kirchhoff stress [Pa] (Cauchy's times det F), accumulated plastic strain, f, number of
+    the cell in the input. Ten-node cells are shown by their corners. Every `every`-th increment.
+    """
+
+    def __init__(self, folder: str | Path, every: int = 1, name: str = "tensile") -> None:
+        if every < 1:
+            raise ValueError(f"every is {every}; a series takes each, each second, ... increment")
+        self.folder, self.every, self.name = Path(folder), every, name
+        self._entries: list[str] = []
+
+    def __call__(self, increment: Increment) -> None:
+        """Write one file of the series; collective."""
+        if increment.number % self.every:
+            return
+        test = increment.test
+        d, state = test.discretisation, increment.fields
+        shown = d.owned & test.assembler.alive
+        values = {
+            "mises_kirchhoff": state.mises, "mean_stress_kirchhoff": state.pressure,
+            "plastic_strain": state.strain, "damage_variable": state.damage,
+        }  # fmt: skip
+        mean = {name: array[shown].mean(axis=1) for name, array in values.items()}
+        parts = test.comm.gather((d.original_cells[shown], mean))
+        vertex = d.mesh.input_vertices[: d.owned_nodes]
+        moved = test.comm.gather(
+            (vertex[vertex >= 0], increment.displacement[: d.owned_nodes][vertex >= 0])
+        )
+        if test.comm.rank != 0:
+            return
+        numbers = test.prepared.kept[np.concatenate([cells for cells, _ in parts])]
+        order = np.argsort(numbers)
+        displacement = np.zeros_like(test.prepared.points)
+        for vertices, rows in moved:
+            displacement[test.vertices[vertices]] = rows
+        cell_data = {
+            name: np.concatenate([part[name] for _, part in parts])[order] for name in values
+        }
+        self._write(increment, numbers[order], displacement, cell_data)
+
+    def _write(self, increment, numbers, displacement, cell_data) -> None:
+        import pyvista
+
+        prepared = increment.test.prepared
+        used, cells = np.unique(prepared.cells[numbers], return_inverse=True)
+        cells = cells.reshape(-1, 4)
+        kinds = np.full(len(cells), pyvista.CellType.TETRA)
+        grid = pyvista.UnstructuredGrid(
+            np.c_[np.full(len(cells), 4), cells], kinds, prepared.points[used]
+        )
+        grid.point_data["displacement"] = displacement[used]
+        for name, array in cell_data.items():
+            grid.cell_data[name] = array
+        grid.cell_data["cell"] = numbers
+        self.folder.mkdir(parents=True, exist_ok=True)
+        name = f"{self.name}_{increment.number:04d}.vtu"
+        temporary = self.folder / f".{self.name}.part.vtu"
+        grid.save(temporary)
+        os.replace(temporary, self.folder / name)
+        self._entries.append(f'<DataSet timestep="{100 * increment.strain:.9g}" file="{name}"/>')
+        text = "\n".join(
+            ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1">', "<Collection>"]
+            + [*self._entries, "</Collection>", "</VTKFile>", ""]
+        )
+        temporary = self.folder / f".{self.name}.part.pvd"
+        temporary.write_text(text, encoding="utf-8")
+        os.replace(temporary, self.folder / f"{self.name}.pvd")
+
+
+class Checkpoint:
+    """Observer that keeps the last accepted state in one HDF5 file, every `every`-th increment."""
+
+    def __init__(self, path: str | Path, every: int = 1) -> None:
+        if every < 1:
+            raise ValueError(f"every is {every}; a checkpoint is due each, each second, ... time")
+        self.path, self.every = Path(path), every
+
+    def __call__(self, increment: Increment) -> None:
+        """Write the file; collective."""
+        if increment.number % self.every:
+            return
+        test = increment.test
+        d, mesh = test.discretisation, test.discretisation.mesh
+        ends = _node_ends(test)[: mesh.owned_nodes]
+        motion = {"displacement": increment.displacement[: mesh.owned_nodes]}
+        if increment.previous is not None:
+            motion["previous"] = increment.previous[: mesh.owned_nodes]
+        cells = {name: values[d.owned] for name, values in vars(increment.fields).items()}
+        cells["alive"] = test.assembler.alive[d.owned]
+        nodes = _gather(test.comm, ends, motion)
+        cells = _gather(test.comm, d.original_cells[d.owned], cells)
+        if test.comm.rank != 0:
+            return
+        march = {
+            name: getattr(increment, name)
+            for name in ("previous_size", "strain", "size", "peak", "work", "dissipated")
+        }
+        march |= {"reference": test.solver.reference, "lost_cells": test.lost_cells}
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = self.path.with_name(f".{self.path.name}.part")
+        with h5py.File(temporary, "w") as file:
+            file.attrs["schema_version"] = SCHEMA_VERSION
+            file.attrs["fingerprint"] = _fingerprint(test)
+            file.attrs["march"] = json.dumps({key: float(value) for key, value in march.items()})
+            ends, motion = nodes
+            file["nodes/ends"] = test.vertices[ends]
+            for name, values in motion.items():
+                file[f"nodes/{name}"] = values
+            numbers, fields = cells
+            file["cells/number"] = test.prepared.kept[numbers]
+            for name, values in fields.items():
+                file[f"cells/{name}"] = values
+            for name in increment.rows[0]:
+                file[f"history/{name}"] = np.array([row[name] for row in increment.rows], float)
+        os.replace(temporary, self.path)
+
+
+def restore(test: Any, path: str | Path) -> tuple:
+    """Put a test into the state of a checkpoint; collective.
+
+    Returns (displacement, previous, previous_size, strain, size, peak, work, dissipated, rows) as
+    in `Increment`. Raises FileNotFoundError, or ValueError if the file is no checkpoint of this
+    mesh, damage, material, element and grips.
+    """
+    content, error = None, None
+    if test.comm.rank == 0:
+        try:
+            content = _read(test, Path(path))
+        except (OSError, ValueError) as problem:
+            error = problem
+    error = test.comm.bcast(error)
+    if error is not None:
+        raise error
+    march, rows, (ends, motion), (numbers, fields) = test.comm.bcast(content)
+    d = test.discretisation
+    at = _lookup(_keys(ends), _keys(_node_ends(test)))
+    displacement = motion["displacement"][at]
+    previous = motion["previous"][at] if "previous" in motion else None
+    at = _lookup(numbers, d.original_cells)
+    for name in Fields.__dataclass_fields__:
+        getattr(test.state.old, name)[...] = fields[name][at]
+        getattr(test.state.new, name)[...] = fields[name][at]
+    test.assembler.alive[:] = fields["alive"][at]
+    unused = np.ones(len(d.coordinates), bool)
+    unused[d.cells[test.assembler.alive]] = False
+    test.fixed[unused] = True
+    test.solver.reference = march.pop("reference")
+    test.lost_cells = int(march.pop("lost_cells"))
+    names = ("previous_size", "strain", "size", "peak", "work", "dissipated")
+    return (displacement, previous, *(march[name] for name in names), rows)
+
+
+def _read(test, path: Path) -> tuple:
+    """The content of a checkpoint, by the numbers of the kept cells and vertices (rank 0)."""
+    if not path.is_file():
+        raise FileNotFoundError(f"checkpoint {path} does not exist")
+    with h5py.File(path, "r") as file:
+        if file.attrs.get("fingerprint") != _fingerprint(test):
+            raise ValueError(
+                f"checkpoint {path} belongs to another mesh, damage, material, element or grips"
+            )
+        march = json.loads(file.attrs["march"])
+        history = {name: values[()] for name, values in file["history"].items()}
+        motion = {name: values[()] for name, values in file["nodes"].items() if name != "ends"}
+        fields = {name: values[()] for name, values in file["cells"].items() if name != "number"}
+        ends = np.searchsorted(test.vertices, file["nodes/ends"][()])
+        numbers = np.searchsorted(test.prepared.kept, file["cells/number"][()])
+    rows = [
+        {name: float(values[i]) for name, values in history.items()}
+        for i in range(len(history["force"]))
+    ]
+    return march, rows, (ends, motion), (numbers, fields)
+
+
+def _node_ends(test) -> np.ndarray:
+    """(n, 2) vertices of the compact mesh between which a local node lies; twice its own."""
+    mesh, cells = test.discretisation.mesh, test.discretisation.cells
+    ends = np.repeat(mesh.input_vertices[:, None], 2, axis=1)
+    for edge in range(cells.shape[1] - 4):
+        pair = mesh.input_vertices[cells[:, EDGES[edge]]]
+        ends[cells[:, 4 + edge]] = np.sort(pair, axis=1)
+    return ends
+
+
+def _keys(ends: np.ndarray) -> np.ndarray:
+    return ends[:, 0] * np.int64(2**31) + ends[:, 1]
+
+
+def _lookup(stored: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Positions of the wanted keys among the stored ones."""
+    order = np.argsort(stored)
+    at = order[np.minimum(np.searchsorted(stored, wanted, sorter=order), len(stored) - 1)]
+    if not np.array_equal(stored[at], wanted):
+        raise ValueError("checkpoint: it lacks cells or nodes of this mesh")
+    return at
+
+
+def _gather(comm, numbers, arrays) -> tuple | None:
+    """Numbers and arrays of all ranks, one after the other, on rank 0."""
+    parts = comm.gather((numbers, arrays))
+    if comm.rank != 0:
+        return None
+    joined = {name: np.concatenate([part[name] for _, part in parts]) for name in arrays}
+    return np.concatenate([number for number, _ in parts]), joined
+
+
+def _fingerprint(test) -> str:
+    """Hash of what must agree between a checkpoint and the test that resumes it (rank 0)."""
+    prepared, digest = test.prepared, hashlib.sha256()
+    for array in (prepared.points, prepared.cells, prepared.damage):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    settings = test.settings
+    digest.update(repr((test.material, settings.element, settings.grips)).encode())
+    return digest.hexdigest()
