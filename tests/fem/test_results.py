@@ -1,0 +1,127 @@
+"""Checkpoints and the ParaView series of a tensile test."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+pytest.importorskip("dolfinx")
+
+from fem.results import Checkpoint, ParaviewSeries
+from fem.tensile_test import TensileSettings, tensile_test
+from tests.fem.meshes import box
+from tests.fem.restart_run import MATERIAL, Interrupted, run, scene
+
+ROOT = Path(__file__).parents[2]
+
+
+def on_two_ranks(element, mode, checkpoint, output):
+    """restart_run.py under mpirun."""
+    command = ["mpirun", "-n", "2", sys.executable, "-m", "tests.fem.restart_run", element, mode]
+    done = subprocess.run(
+        [*command, str(checkpoint), str(output)], cwd=ROOT, capture_output=True, text=True,
+        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}, timeout=300,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-2000:]
+
+
+def check(resumed, whole, rtol):
+    """The same curve, counts and displacements."""
+    np.testing.assert_array_equal(resumed["elongation"], whole.history["elongation"])
+    np.testing.assert_array_equal(resumed["lost_cells"], whole.history["lost_cells"])
+    for name in ("force", "work", "dissipated", "largest_plastic_strain", "largest_damage"):
+        np.testing.assert_allclose(resumed[name], whole.history[name], rtol=rtol, atol=1e-12)
+
+
+@pytest.mark.parametrize("element", ["P1-Fbar", "P2"])
+def test_resumed_equals_uninterrupted(tmp_path, element):
+    whole = run(element, "whole", None)
+    assert whole.lost_cells > whole.history["lost_cells"][3]
+    with pytest.raises(Interrupted):
+        run(element, "interrupted", tmp_path / "checkpoint.h5")
+    resumed = run(element, "resumed", tmp_path / "checkpoint.h5")
+    # Newton tolerance 1e-8 of the reaction: measured 7e-11 and 1.0e-9 of the force
+    check(resumed.history, whole, 2e-8)
+    seen = ~np.isnan(whole.displacement)
+    np.testing.assert_allclose(
+        resumed.displacement[seen], whole.displacement[seen], atol=1e-7 * whole.elongation[-1]
+    )
+
+
+def test_one_rank_goes_on_with_two_and_back(tmp_path):
+    """Interrupted on one rank and resumed on two; and the other way round."""
+    whole = run("P2", "whole", None)
+    checkpoint, output = tmp_path / "one.h5", tmp_path / "two.npz"
+    with pytest.raises(Interrupted):
+        run("P2", "interrupted", checkpoint)
+    on_two_ranks("P2", "resumed", checkpoint, output)
+    # Newton tolerance 1e-8 of the reaction: measured 7e-11 to 1.3e-10
+    check(np.load(output), whole, 2e-8)
+    checkpoint, output = tmp_path / "two.h5", tmp_path / "none.npz"
+    on_two_ranks("P2", "interrupted", checkpoint, output)
+    assert checkpoint.exists() and not output.exists()
+    check(run("P2", "resumed", checkpoint).history, whole, 2e-8)
+
+
+def test_checkpoint_of_a_finished_test_goes_on_to_larger_strain(tmp_path):
+    points, cells = box((1, 1, 2), (1e-3, 1e-3, 2e-3))
+    checkpoint = tmp_path / "folder" / "checkpoint.h5"
+    settings = {"element": "P1", "full_curve": True, "tolerance": 1e-9}
+    tensile_test(
+        points, cells, 0.1, MATERIAL, TensileSettings(maximum_strain=0.02, **settings),
+        observers=[Checkpoint(checkpoint, every=2)],
+    )  # fmt: skip
+    with h5py.File(checkpoint) as file:
+        assert file["cells/plastic"].shape == (12, 1, 6) and file["nodes/ends"].shape == (12, 2)
+    longer = TensileSettings(maximum_strain=0.04, **settings)
+    on = tensile_test(points, cells, 0.1, MATERIAL, longer, resume=checkpoint)
+    whole = tensile_test(points, cells, 0.1, MATERIAL, longer)
+    assert on.elongation[-1] == pytest.approx(0.04 * 2e-3)
+    assert on.force[-1] == pytest.approx(whole.force[-1], rel=1e-5)  # other increments
+
+
+def test_refuses_the_checkpoint_of_another_test(tmp_path):
+    points, cells = box((1, 1, 2), (1e-3, 1e-3, 2e-3))
+    settings = TensileSettings(element="P1", maximum_strain=0.004)
+    path = tmp_path / "checkpoint.h5"
+    tensile_test(points, cells, 0.1, MATERIAL, settings, observers=[Checkpoint(path)])
+    with pytest.raises(ValueError, match="another mesh, damage"):
+        tensile_test(points, cells, 0.2, MATERIAL, settings, resume=path)
+    with pytest.raises(FileNotFoundError, match="does not exist"):
+        tensile_test(points, cells, 0.1, MATERIAL, settings, resume=tmp_path / "absent.h5")
+    with pytest.raises(ValueError, match="every"):
+        Checkpoint(path, every=0)
+
+
+def test_paraview_series(tmp_path):
+    """Each file holds what is left of the solid, in the order of the input's cells."""
+    pyvista = pytest.importorskip("pyvista")
+    points, cells, f0 = scene("P2")
+    settings = TensileSettings(maximum_strain=0.03, full_curve=True, maximum_increment=0.005)
+    result = tensile_test(
+        points, cells, f0, MATERIAL, settings, observers=[ParaviewSeries(tmp_path, every=2)]
+    )
+    files = sorted(tmp_path.glob("*.vtu"))
+    assert len(files) == (len(result.force) - 1) // 2
+    text = (tmp_path / "tensile.pvd").read_text()
+    assert all(f'file="{file.name}"' in text for file in files)
+    assert not list(tmp_path.glob(".*"))
+    first, last = pyvista.read(files[0]), pyvista.read(files[-1])
+    assert first.n_cells == len(cells) - result.dead_cells - result.loose_cells
+    assert first.n_cells > last.n_cells >= len(cells) - result.dead_cells - result.lost_cells
+    number = first.cell_data["cell"]
+    assert np.all(np.diff(number) > 0)
+    np.testing.assert_allclose(
+        first.points[first.cells.reshape(-1, 5)[:, 1:]], points[cells[number]], rtol=1e-12
+    )
+    grown = first.cell_data["damage_variable"] - np.minimum(f0, 0.6667)[number].mean(axis=1)
+    assert grown.min() > -0.05 and grown.max() > 1e-4
+    assert 10e6 < first.cell_data["mises_kirchhoff"].max() < 300e6
+    assert first.cell_data["plastic_strain"].max() > 1e-3
+    top = first.points[:, 2] == points[:, 2].max()
+    at = float(text.split('timestep="')[1].split('"')[0]) / 100
+    np.testing.assert_allclose(first.point_data["displacement"][top, 2], at * 4e-3, rtol=1e-9)
