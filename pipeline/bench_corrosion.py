@@ -176,7 +176,7 @@ def screw() -> list:
             start = time.perf_counter()
             lean, omissions = corrode_lean(scene, [56 * DAY])
             if any(o.name == "liquid" and o.applied for o in omissions):
-                bound = max(o.bound for o in omissions)
+                bound = max(o.bound for o in omissions if o.applied)
                 results += [
                     Result(
                         f"{name}: without what it does not need",

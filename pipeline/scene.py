@@ -23,7 +23,7 @@ SCHEMA_VERSION = 1
 DOMAIN_SHAPES = ("cylinder", "ball")
 BOUNDARIES = ("refreshed", "no_flux")
 SATURATIONS = ("complementarity", "as_published", "none")
-OMITTABLE = ("liquid", "solid_core")
+OMITTABLE = ("liquid", "solid_core", "far_liquid")
 """What a march may leave out; named as in peri.corrosion.planning, which is slow to import."""
 
 CALIBRATIONS = ("discrete", "closed")

@@ -10,12 +10,14 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import distance_transform_edt
 
 from peri.corrosion.bimaterial import BiMaterial
+from peri.corrosion.bounds import arrival_bound, front_depth, least_loss, metal_at_risk
 from peri.corrosion.run import CorrosionResult, corrode
 from peri.corrosion.scene import CorrosionScene
 from peri.corrosion.well_stirred import well_stirred
@@ -26,6 +28,9 @@ log = logging.getLogger(__name__)
 
 LIQUID = "liquid"
 SOLID_CORE = "solid_core"
+FAR_LIQUID = "far_liquid"
+COARSE_LIQUID = "coarse_liquid"
+OMISSIONS = (LIQUID, SOLID_CORE, FAR_LIQUID)
 DEFAULT_TOLERANCE = 1e-3
 
 
@@ -100,21 +105,90 @@ def plan_omissions(
     """
     if not 0 <= tolerance < 1:
         raise ValueError(f"tolerance: {tolerance}; it must be from 0 to below 1")
-    unknown = set(refused) - {LIQUID, SOLID_CORE}
+    unknown = set(refused) - set(OMISSIONS)
     if unknown:
-        raise ValueError(f"refused: {sorted(unknown)}; known: {LIQUID}, {SOLID_CORE}")
-    return [_solid_core(scene), _liquid(scene, end_time, tolerance, refused)]
+        raise ValueError(f"refused: {sorted(unknown)}; known: {', '.join(OMISSIONS)}")
+    return [
+        _solid_core(scene, end_time),
+        _liquid(scene, end_time, tolerance, refused),
+        _far_liquid(scene, end_time, tolerance, refused)[0],
+        Omission(
+            COARSE_LIQUID,
+            "not offered: there are no lattices of two spacings, liquid is as fine as the metal",
+            math.inf,
+            False,
+        ),
+    ]
 
 
-def _solid_core(scene: CorrosionScene) -> Omission:
+def _solid_core(scene: CorrosionScene, end_time: float) -> Omission:
     count = int(scene.metal.sum())
-    return Omission(
-        SOLID_CORE,
+    reason = (
         f"diffusion between the {count} metal nodes is not part of the model, so each one is "
-        "eliminated exactly and metal beyond the horizon of all liquid costs nothing",
-        0.0,
-        True,
+        "eliminated exactly and takes no unknown"
     )
+    if not _speeds_up(scene):
+        risk = int(metal_at_risk(scene, end_time).sum())
+        depth = 1e6 * front_depth(scene, end_time)
+        reason += (
+            f"; {count - risk} of them cannot lose anything by the end, when dissolution has "
+            f"reached at most {depth:.3g} um deep"
+        )
+    return Omission(SOLID_CORE, reason, 0.0, True)
+
+
+def _speeds_up(scene: CorrosionScene) -> bool:
+    factors = [scene.kinetics.factor(v) for v in np.linspace(0.0, 1.0, 101)]
+    return bool(np.any(np.diff(factors) > 0))
+
+
+def _far_liquid(scene, end_time, tolerance, refused) -> tuple[Omission, np.ndarray]:
+    """Liquid that too little solute reaches by the end; also the domain without it.
+
+    Cutting at a distance a changes the amounts by at most what gets there: with C the highest
+    concentration in the liquid and p = arrival_bound(a), C p (t D sum w per node next to the cut
+    + 1 per node beyond it), relative to the least that the metal loses.
+    """
+    if scene.boundary != "refreshed":
+        return _far_needed("a closed edge sends solute back, and there is no bound"), scene.domain
+    liquid = scene.domain & ~scene.metal
+    highest = scene.saturation_concentration
+    if scene.saturation != "complementarity":
+        highest = scene.solid_concentration
+    least = 0.0 if _speeds_up(scene) else least_loss(scene, end_time)
+    reach = float(np.max(np.multiply(scene.stencil.reach, scene.stencil.spacing)))
+    if not least > 0 or not liquid.any() or not scene.metal.any():
+        return _far_needed("there is no bound of what the metal loses at least"), scene.domain
+    distance = distance_transform_edt(~scene.metal, sampling=scene.lattice.spacing)
+    volume = scene.capacity()
+    scale = least * float(volume[scene.metal].sum()) * scene.solid_concentration
+    farthest = float(distance[liquid].max())
+    exchange = end_time * scene.liquid_diffusivity * scene.stencil.total
+    bound = math.inf
+    for cut in np.arange(3.0, math.floor(farthest / reach)) * reach:
+        # Sources end a horizon from the metal (and one more for cells that hold more than one
+        # volume); the nodes of the new edge begin a horizon before it.
+        share = arrival_bound(scene, cut - 3.0 * reach, end_time)
+        beyond = liquid & (distance > cut)
+        edge = liquid & (distance > cut - reach) & ~beyond
+        contents = float(volume[beyond].sum()) + exchange * float(volume[edge].sum())
+        bound = highest * share * contents / scale
+        if bound <= tolerance:
+            omission = Omission(
+                FAR_LIQUID,
+                f"{int(beyond.sum())} of {int(liquid.sum())} liquid nodes are farther than "
+                f"{1e6 * cut:.3g} um from the metal, where at most {share:.1e} of the highest "
+                "concentration arrives by the end: what lies there, refreshed or not, is left out",
+                bound,
+                FAR_LIQUID not in refused,
+            )
+            return omission, scene.domain & ~beyond
+    reason = "solute may reach the domain's edge by the end"
+    return _far_needed(reason), scene.domain
+
+
+def _far_needed(reason: str) -> Omission:
+    return Omission(FAR_LIQUID, f"needed: {reason}", math.inf, False)
 
 
 def _liquid(scene, end_time, tolerance, refused) -> Omission:
@@ -128,8 +202,7 @@ def _liquid(scene, end_time, tolerance, refused) -> Omission:
         return Omission(
             LIQUID, "needed: a front that moves at a given flux is marched", math.inf, False
         )
-    factors = [scene.kinetics.factor(v) for v in np.linspace(0.0, 1.0, 101)]
-    if np.any(np.diff(factors) > 0):
+    if _speeds_up(scene):
         return Omission(LIQUID, "needed: the kinetics speeds up with volume loss", math.inf, False)
     bound = liquid_bound(scene)
     reach = bound[scene.domain & ~scene.metal].max(initial=0.0)
@@ -185,7 +258,11 @@ def corrode_lean(
     omissions = plan_omissions(scene, float(np.max(times)), tolerance, refused)
     if any(o.name == LIQUID and o.applied for o in omissions):
         return well_stirred(scene, times), omissions
+    marched = scene
+    if any(o.name == FAR_LIQUID and o.applied for o in omissions):
+        end = float(np.max(times))
+        marched = replace(scene, domain=_far_liquid(scene, end, tolerance, refused)[1])
     result = corrode(
-        scene, times, stepping, progress=progress, checkpoint=checkpoint, resume=resume, **march
+        marched, times, stepping, progress=progress, checkpoint=checkpoint, resume=resume, **march
     )
-    return result, omissions
+    return replace(result, scene=scene), omissions

@@ -207,5 +207,5 @@ def test_time_zero_is_added_in_front_for_the_strength_ratio(scene):
 def test_the_names_of_what_a_march_may_leave_out_are_those_of_peri():
     from peri.corrosion import planning
 
-    assert OMITTABLE == (planning.LIQUID, planning.SOLID_CORE)
+    assert OMITTABLE == planning.OMISSIONS
     assert CorrosionSettings().tolerance == planning.DEFAULT_TOLERANCE
