@@ -14,6 +14,6 @@ setup(
     package_dir={"perilife_data": "data"},
     package_data={
         "perilife_data": ["*.toml", "*.bib", "*/*.toml", "*/*.csv"],
-        "pipeline": ["templates/*"],
+        "pipeline": ["templates/*", "*.toml"],
     },
 )

@@ -73,6 +73,7 @@ def build_parser() -> argparse.ArgumentParser:
     bench = add("bench", _bench, "benchmarks of this machine")
     bench.add_argument("name", metavar="NAME", help="name of a benchmark, or list")
     bench.add_argument("--json", action="store_true", help="as one JSON object")
+    bench.add_argument("--small", action="store_true", help="a small version, to see it work")
     study = add("study", _study, "error against run time, and the tables behind the presets")
     study.add_argument(
         "what", metavar="WHAT", help=f"{', '.join(STUDIES)} (what each finds: study list)"
@@ -279,7 +280,7 @@ def _bench(options: argparse.Namespace) -> int:
         for name, benchmark in BENCHMARKS.items():
             print(f"{name:16s} {benchmark.description}")
         return 0
-    result = run_benchmark(options.name)
+    result = run_benchmark(options.name, options.small)
     if options.json:
         print(json.dumps(result, indent=2))
     else:

@@ -3,9 +3,10 @@
 import numpy as np
 
 from pipeline.plan import scene_omissions
-from pipeline.resolution import RESOLUTIONS
+from pipeline.resolution import RESOLUTIONS, CorrosionError
+from pipeline.resolve import DEFAULT_PARAMETER_SET
 from pipeline.run_results import ImmersionResult, RunResults, column
-from pipeline.scene import Scene
+from pipeline.scene import CorrosionSettings, DomainSettings, Scene, ScrewGeometry
 from pipeline.units import format_seconds
 from pipeline.wording import duration, percent
 
@@ -62,14 +63,61 @@ def _energy_gap(item: ImmersionResult) -> float | None:
 
 
 def error_estimate(run: RunResults) -> str:
-    """The measured error of the preset where the scene carries one, else that there is none."""
+    """The error of the run's own settings in volume loss and strength, as far as measured."""
     estimate = run.scene_extras.get("error_estimate")
     if estimate:
         return str(estimate)
+    return f"{_volume_loss_error(run)} {_strength_error(run)}"
+
+
+def _corrosion_error(scene: Scene) -> CorrosionError | None:
+    """What was measured of the preset's lattice and time steps, if the scene uses just these."""
+    preset = RESOLUTIONS.get(scene.resolution)
+    default = CorrosionSettings()
+    if preset is None or (
+        (scene.lattice.spacing, scene.lattice.horizon, scene.corrosion.rate_change)
+        != (preset.spacing, preset.horizon, preset.rate_change)
+    ):
+        return None
+    names = ("scheme", "step", "saturation", "calibration", "influence")
+    if any(getattr(scene.corrosion, name) != getattr(default, name) for name in names):
+        return None
+    return preset.corrosion_error
+
+
+def _volume_loss_error(run: RunResults) -> str:
+    known = _corrosion_error(run.scene)
+    if known is None:
+        return (
+            "The discretisation error of the volume loss has not been measured for these lattice "
+            "and time settings, only for those of the presets."
+        )
+    errors = ", ".join(
+        f"{percent(known.of(alloy.name), 1)} for {alloy.name}" for alloy in run.scene.alloys
+    )
+    scene = run.scene
+    same = (
+        scene.geometry == ScrewGeometry()
+        and scene.parameter_set == DEFAULT_PARAMETER_SET
+        and scene.domain == DomainSettings()
+        and all(alloy.name in known.time for alloy in scene.alloys)
+    )
+    where = "in this very scene" if same else "on the reference screw with Table 5.1, not here"
+    return (
+        f"The volume loss is off by at most {errors} of its value because space and time are "
+        f"discrete, measured up to 8 weeks {where}."
+    )
+
+
+def _strength_error(run: RunResults) -> str:
+    preset = RESOLUTIONS.get(run.scene.resolution)
+    error = preset.tensile_error if preset else None
+    if error is not None and "changed" not in settings_name(run.scene):
+        return f"The discretisation error of the strength left is about {percent(error, 1)}."
     return (
         f"The discretisation error of the resolution {settings_name(run.scene)}, in the strength "
         "left, has not been measured yet. "
-        "Until it is, read the numbers as a comparison of alloys and times, not as a prediction."
+        "Until it is, read the strengths as a comparison of alloys and times, not as a prediction."
     )
 
 
@@ -91,8 +139,18 @@ def settings_name(scene: Scene) -> str:
 
 def in_short(run: RunResults, assumed: int) -> str:
     """The doubts in one line, to stand right below the answer."""
-    known = run.scene_extras.get("error_estimate")
-    error = str(known) if known else "the discretisation error is not measured yet"
+    given, known = run.scene_extras.get("error_estimate"), _corrosion_error(run.scene)
+    error = "the discretisation error is not measured yet"
+    if given:
+        error = str(given)
+    elif known is not None:
+        most = max(known.of(alloy.name) for alloy in run.scene.alloys)
+        error = f"discretisation error of the volume loss up to {percent(most, 1)}"
+        preset = RESOLUTIONS[run.scene.resolution]
+        if preset.tensile_error is None:
+            error += ", of the strength not measured yet"
+        else:
+            error += f", of the strength about {percent(preset.tensile_error, 1)}"
     values = "value is" if assumed == 1 else "values are"
     seconds = sum(record.seconds for _, record in run.records)
     cost = f" The run took {format_seconds(seconds)}." if seconds else ""
@@ -111,14 +169,26 @@ def twice_as_sure(run: RunResults) -> str:
     if not corrosion or not pulls:
         return "The run times needed for an estimate are not in this run."
     corrode, pull = (format_seconds(value) for value in (corrosion, pulls))
+    known = _corrosion_error(run.scene)
+    if known is None:
+        lattice = (
+            "Half the lattice spacing means 8 times the nodes and, at the same horizon, 8 times "
+            f"the bonds of each node: corrosion {corrode} → {format_seconds(8 * corrosion)} to "
+            f"{format_seconds(64 * corrosion)}."
+        )
+    else:
+        source = "measured" if known.half_error_measured else "extrapolated from what was measured"
+        lattice = (
+            f"Half the error of the volume loss takes about {known.half_error_cost:.2g} times the "
+            f"processor time ({source}): corrosion {corrode} → "
+            f"{format_seconds(known.half_error_cost * corrosion)}, less where the liquid is left "
+            "out."
+        )
     return (
-        "Halving the spacing of the lattice and the edge length of the mesh means 8 times the "
-        "nodes and cells and, at the same horizon, 8 times the bonds of each node. From the times "
-        f"of this run: corrosion {corrode} → {format_seconds(8 * corrosion)} to "
-        f"{format_seconds(64 * corrosion)}; tensile tests {pull} → {format_seconds(8 * pulls)} or "
-        "more. That halves the error if it falls in proportion to the spacing, which this run "
-        "does not test. No computation makes the assumed strengths of the alloys any surer: that "
-        "takes a tensile test of the bar that the screw is cut from."
+        f"{lattice} Half the edge length of the mesh means 8 times the cells: tensile tests "
+        f"{pull} → {format_seconds(8 * pulls)} or more. No computation makes the assumed "
+        "strengths of the alloys any surer: that takes a tensile test of the bar that the screw "
+        "is cut from."
     )
 
 

@@ -12,6 +12,7 @@ from pipeline.bench import BENCHMARKS, Benchmark, Result
 from pipeline.cli import main, sentence
 from pipeline.opening import open_run
 from pipeline.options import add_scene_options, scene_from_options
+from pipeline.resolution import RESOLUTIONS
 from pipeline.run_folder import RunFolder
 
 PIN = ["--thread", "none"]  # a plain pin: its solid takes a tenth of a second
@@ -198,8 +199,10 @@ def test_a_run_folder_of_another_scene_is_refused_and_untouched(tmp_path, capsys
         before = folder.scene_file.read_text()
     assert sorted(p.name for p in out.iterdir()) == ["scene.json"]
     _refused(capsys, ["run", *SCENE, "--out", str(out)], "not empty", "--resume")
-    other = ["run", *_changed("--rate-change", "0.2"), "--out", str(out), "--resume"]
-    _refused(capsys, other, "another scene", "corrosion.rate_change is 0.1 there and 0.2 here")
+    other = ["run", *_changed("--rate-change", "0.3"), "--out", str(out), "--resume"]
+    quick = RESOLUTIONS["quick"].rate_change
+    words = f"corrosion.rate_change is {quick:g} there and 0.3 here"
+    _refused(capsys, other, "another scene", words)
     assert folder.scene_file.read_text() == before
 
 
@@ -288,15 +291,26 @@ def test_plan_tells_sizes_time_memory_and_omissions(capsys):
     assert "What is left out" in capsys.readouterr().out
 
 
+def test_studies_are_listed_and_refused_in_one_sentence(tmp_path, capsys):
+    assert main(["study", "list"]) == 0
+    assert "rates" in capsys.readouterr().out
+    _refused(capsys, ["study", "tensile-weather"], "tensile-weather", "corrosion, rates")
+    _refused(capsys, ["study", "corrosion"], "--out")
+    out = tmp_path / "studies"
+    _refused(capsys, ["study", "corrosion", "--alloy", "Mg-7Gd", "--out", str(out)], "Mg-7Gd")
+    assert not out.exists()
+
+
 def test_bench_prints_exactly_one_object(capsys, monkeypatch):
     fake = Benchmark("a test", lambda: [Result("speed", 2.0, "1/s", ">= 1")])
     monkeypatch.setitem(BENCHMARKS, "fake", fake)
     assert main(["bench", "fake", "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
-    assert set(printed) == {"name", "machine", "results"}
+    assert set(printed) == {"name", "small", "load", "machine", "results"}
     assert printed["results"] == [
         {"quantity": "speed", "value": 2.0, "unit": "1/s", "target": ">= 1"}
     ]
+    _refused(capsys, ["bench", "fake", "--small"], "fake", "screw", "scaling")
     assert main(["bench", "list"]) == 0
     listed = capsys.readouterr().out
     assert "quick-stages" in listed and "fake" in listed

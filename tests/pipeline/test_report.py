@@ -17,10 +17,12 @@ from PIL import Image
 
 from pipeline import doubts, picture_set, pictures, plots, provenance, report, wording
 from pipeline.damage_map import compare_lost_volume
+from pipeline.resolution import RESOLUTIONS
 from pipeline.resolve import resolve_scene
 from pipeline.run_folder import RunFolder, StageRecord
 from pipeline.run_results import AlloyResult, ImmersionResult, read_run
 from pipeline.summary import SummaryRow, write_summary
+from pipeline.units import format_seconds
 
 WEEKS = ("0w", "4w", "8w", "24w")
 LEFT_OUT = [
@@ -249,7 +251,11 @@ def test_doubt_and_cost_are_stated(full):
     sure = page.sections["sure"]
     assert "has not been measured yet" in sure
     assert "3e-13" in sure and "1.23 %" in sure and "0.20 %" in sure  # balance, map, energy
-    assert "1 min 20 s → 10 min 40 s to 1 h 25 min" in sure  # 2 x 40 s, 8 and 64 times
+    quick = RESOLUTIONS["quick"].corrosion_error
+    for alloy in ("Mg-5Gd", "Mg-10Gd"):
+        assert f"{100 * quick.of(alloy):.1f} % for {alloy}" in sure
+    assert f"1 min 20 s → {format_seconds(80 * quick.half_error_cost)}" in sure  # 2 x 40 s
+    assert "measured up to 8 weeks in this very scene" in sure
     assert "beyond reach" in sure and "0.042 % of the volume loss" in sure
     assert "needed" not in sure  # what was not left out is not listed
     assert "+0.54 %" in page.sections["made"]  # 9.3 / 9.25
