@@ -92,3 +92,25 @@ class Interface:
         bonds = change * p.box_free_volume
         flux = self.rate * self.on * p.box(bonds) * (metal - saturated)
         return np.where(p.box_metal, metal - self.tau * flux, 0.0)
+
+
+def late_exposure(p, old: np.ndarray, new: np.ndarray) -> float:
+    """Share of the interface that a step should have opened before its end.
+
+    A node that falls below C_sat within a step exposes others at its end only; the share of
+    the step that this is late (C taken as exponential in time) weighs its bonds.
+    """
+    before, after = p.take(old)[p.box_metal], p.take(new)[p.box_metal]
+    limit = p.scene.saturation_concentration
+    late = np.zeros(p.box.padded_shape)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.log(limit / after) / np.log(before / after)
+    late[p.box_metal] = np.where((after < limit) & (before > after), share, 0.0)
+    total = p.processes.total
+    if not p.processes.any(late.any()):
+        return 0.0
+    staying = np.where(late > 0, 0.0, p.box_metal_volume * p.take(new))
+    opened = float((staying * p.box(late.clip(0.0, 1.0) * p.box_metal_volume)).sum())
+    whole = p.box_metal_volume * p.take(old) * p.box(p.box_liquid_volume)
+    whole = total(float(whole.sum()))
+    return total(opened) / whole if whole > 0 else 0.0

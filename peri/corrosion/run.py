@@ -13,6 +13,7 @@ import numpy as np
 
 from peri import results
 from peri.corrosion.bimaterial import BiMaterial, BoundsError, Stage
+from peri.corrosion.interface import late_exposure
 from peri.corrosion.scene import CorrosionScene
 from peri.marching import GAMMA, TimeStepping, next_step, step_towards
 from peri.processes import ONE_PROCESS, OneProcess
@@ -21,7 +22,7 @@ from peri.solvers import ConvergenceError
 log = logging.getLogger(__name__)
 
 _LATE = 4.0
-"""Weight of the flux whose time is an estimate in the control of steps under Faraday's law."""
+"""Weight of what a step exposes too late (or, under Faraday's law, at an estimated time)."""
 _JUMP = 0.7
 """A change that a shorter step leaves at this share is a jump, which no step resolves."""
 
@@ -103,7 +104,8 @@ def corrode(
     Raises
     ------
     ValueError
-        For bad times, a checkpoint of another march, or an explicit step above its limit.
+        For bad times, a checkpoint of another march, an explicit step above its limit, or liquid
+        without saturation that a Faradaic flux fills beyond the metal's concentration.
     """
     stepping = stepping or TimeStepping()
     times = _check_times(times)
@@ -229,6 +231,12 @@ def _advance(problem: BiMaterial, state: _State, stepping: TimeStepping, target:
             state.step = stepping.step
         break
     last = stages[-1]
+    solid = problem.scene.solid_concentration
+    if problem.faradaic and problem.processes.any(new.max() > solid * (1 + 1e-12)):
+        raise ValueError(
+            "saturation: 'none' with dissolution 'faradaic'; the liquid fills beyond the metal's "
+            f"concentration at {state.time + step:.4g} s, use 'complementarity'"
+        )
     state.previous, state.previous_step = state.concentration, step
     state.concentration, state.theta = new, last.theta
     state.time = target if abs(state.time + step - target) < 1e-9 * step else state.time + step
@@ -272,7 +280,8 @@ def _try_step(problem: BiMaterial, state: _State, scheme: str, step: float):
             change = _faradaic_change(problem, state, step, second)
             return new, [first, second], change
         elif not _out_of_bounds(problem, old, new):
-            return new, [first, second], _relative_change(problem, new - old, rate)
+            change = _relative_change(problem, new - old, rate)
+            return new, [first, second], max(change, _late_change(problem, old, new))
     except (BoundsError, ConvergenceError) as error:
         # A right side above C_sat may have no solution at all, which a round of the active set
         # cannot tell from slow progress; a first-order step always has one.
@@ -293,6 +302,7 @@ def _first_order(problem: BiMaterial, state: _State, step: float, guess, expecte
         change = _faradaic_change(problem, state, step, stage)
     else:
         change = share * _relative_change(problem, stage.concentration - old, expected)
+        change = max(change, _late_change(problem, old, stage.concentration))
     return stage.concentration, [stage], change
 
 
@@ -310,6 +320,11 @@ def _relative_change(problem: BiMaterial, change, expected) -> float:
     if progress <= 0.1 * problem.tolerance * problem.metal_scale:
         return 0.0
     return total(float((volume * np.abs(change - expected)[metal]).sum())) / progress
+
+
+def _late_change(problem: BiMaterial, old, new) -> float:
+    """What nodes that turn liquid within a step expose too late, as a change of the rate."""
+    return _LATE * late_exposure(problem, old, new) if problem.box is not None else 0.0
 
 
 def _faradaic_change(problem: BiMaterial, state: _State, step: float, stage: Stage) -> float:

@@ -165,3 +165,12 @@ def test_horizon_ratio_of_1_to_8(ratio):
     scene = box_scene(metal, horizon=ratio * 1e-4, boundary="no_flux")
     result = march(scene, [YEAR / 50])
     assert 0.001 < result.volume_loss[0] < 1
+
+
+def test_the_table_of_extremes_covers_every_corner():
+    from tests.extreme import corrosion_table
+
+    names = " ".join(name for name, *_ in corrosion_table.cases())
+    for corner in ("isolated", "one node thick", "no liquid", "no metal", "25:1", "1e8",
+                   "10 years", "0 s", "1 year", "1e-05", "0.33", "complete"):  # fmt: skip
+        assert corner in names

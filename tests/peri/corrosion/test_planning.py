@@ -174,15 +174,21 @@ def test_refusals(options, message):
 @pytest.mark.slow
 def test_the_screw_without_its_liquid():
     """Mg-5Gd at 100 um, 7, 28, 56 days: lean against full, and the default march."""
-    from pipeline.study_corrosion import TIMES as DAYS
-    from pipeline.study_corrosion import study_scene
+    from pipeline.corrosion_stage import corrosion_scene, domain_lattice, liquid_domain, metal_of
+    from pipeline.geometry_stage import build_solid
+    from pipeline.resolve import resolve_scene
 
-    scene = study_scene("Mg-5Gd", 2)
-    lean, omissions = corrode_lean(scene, DAYS)
+    whole = resolve_scene(["Mg-5Gd"], ["0w", "8w"], "quick")
+    solid = build_solid(whole)
+    lattice, domain = domain_lattice(whole, liquid_domain(whole, solid.points))
+    scene = corrosion_scene(whole, "Mg-5Gd", lattice, domain, *metal_of(whole, lattice, solid))
+    assert lattice.spacing == (1e-4,) * 3
+    days = [WEEK, 4 * WEEK, 8 * WEEK]
+    lean, omissions = corrode_lean(scene, days)
     liquid = named(omissions, LIQUID)
     assert liquid.applied and liquid.bound < 1e-5
-    full = extrapolated(scene, DAYS, 0.01)
+    full = extrapolated(scene, days, 0.01)
     # measured 1.2e-7 against a bound of 3.8e-6
     assert np.abs(lean.volume_loss / full - 1).max() <= liquid.bound
     # default steps: measured 4.6e-4, 5.0e-4, 4.3e-4, all of it error in time
-    assert np.abs(corrode(scene, DAYS).volume_loss / lean.volume_loss - 1).max() < 1e-3
+    assert np.abs(corrode(scene, days).volume_loss / lean.volume_loss - 1).max() < 1e-3
