@@ -133,8 +133,8 @@ def family(lattice: Lattice, horizon) -> Family:
     """The family of a node: bonds shorter than the horizon plus half a cell.
 
     The horizon is a sphere (one number) or an ellipsoid (one semi-axis per lattice axis), the
-    latter with the horizon of a bond's own direction as in Jafarzadeh et al. 2022, Eq. 15.  Dissertation
-    3.1: |xi| < delta + dx/2, with the volume correction of Eq. 3.2,
+    latter with the horizon of a bond's own direction as in Jafarzadeh et al. 2022, Eq. 15.
+    Dissertation 3.1: |xi| < delta + dx/2, with the volume correction of Eq. 3.2,
     beta = clip((delta + h - |xi|) / (2 h), 0, 1), h half the cell's width along the bond.
 
     Raises
