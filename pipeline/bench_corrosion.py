@@ -173,8 +173,8 @@ def pitting_step(shape: tuple[int, int, int] = (128, 128, 64), end: float = 300.
     """Explicit steps and implicit marches of dissolving 304 steel, horizon 3 spacings.
 
     The error is that of the amount dissolved at the end, relative, against a march of which the
-    control target is far smaller; the implicit run that counts is the cheapest one that errs no
-    more than the explicit run does.
+    control target is far smaller; the implicit run that counts is the one with the longest steps
+    from which on all err no more than the explicit run does.
     """
     scene = pitting_scene(shape)
     problem = BiMaterial(scene)
@@ -199,7 +199,7 @@ def pitting_step(shape: tuple[int, int, int] = (128, 128, 64), end: float = 300.
         Result("metal dissolved, share", float(reference.volume_loss[-1]), "1"),
     ]
     enough = None
-    for change in (0.4, 0.2, 0.1, 0.05, 0.025):
+    for change in (0.1, 0.05, 0.025):
         march = corrode(scene, [end], TimeStepping("sdirk2", rate_change=change))
         name = f"implicit (SDIRK2 {change:g})"
         results += [
@@ -207,9 +207,10 @@ def pitting_step(shape: tuple[int, int, int] = (128, 128, 64), end: float = 300.
             Result(f"{name}, steps", len(march.history["time"]) - 1, "1"),
             Result(f"{name}, error of the amount dissolved", error(march), "1"),
         ]
-        if error(march) <= error(explicit) and (
-            enough is None or march.wall_time < enough.wall_time
-        ):
+        # A small error that shorter steps do not confirm is luck.
+        if error(march) > error(explicit):
+            enough = None
+        elif enough is None:
             enough = march
     if enough is not None:
         results += [
@@ -220,17 +221,21 @@ def pitting_step(shape: tuple[int, int, int] = (128, 128, 64), end: float = 300.
 
 
 def small_pitting() -> list:
-    """The same on 32 x 32 x 16 nodes to 20 s: to see that it works."""
-    return pitting_step((32, 32, 16), 20.0)
+    """The same on 32 x 32 x 16 nodes: to see that it works."""
+    return pitting_step((32, 32, 16))
 
 
 def pitting_scene(shape: tuple[int, int, int]) -> CorrosionScene:
-    """304 steel below refreshed liquid with a round opening in it, 2 um, horizon 6 um."""
-    spacing = 2e-6
+    """304 steel below refreshed liquid with a round opening in it, horizon 3 spacings.
+
+    At this spacing the limit of stability gives about as many explicit steps to 300 s as the
+    public code's 653.
+    """
+    spacing = 23e-6
     lattice = Lattice((0.0,) * 3, (spacing,) * 3, shape)
     x, y, z = lattice.coordinates()
     middle, top = 0.5 * spacing * (shape[0] - 1), spacing * (shape[2] - 1)
-    radius = 24e-6 * shape[0] / 128
+    radius = 12 * spacing * shape[0] / 128
     opening = (x - middle) ** 2 + (y - middle) ** 2 + (z - top) ** 2 < radius**2
     metal = np.broadcast_to((z < 0.75 * shape[2] * spacing) & ~opening, shape)
     return CorrosionScene(

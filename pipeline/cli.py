@@ -21,6 +21,7 @@ INTERRUPTED = 130
 STUDIES = {
     "corrosion": "error of the volume loss against processor time, and the presets (15 min)",
     "rates": "what lattice and orientation do to the dissolution rate (seconds)",
+    "saturation": "what the time step does to the two saturation models (5 min)",
 }
 
 
@@ -300,6 +301,11 @@ def _study(options: argparse.Namespace) -> int:
         from pipeline.study_rates import print_rates
 
         print_rates()
+        return 0
+    if options.what == "saturation":
+        from pipeline.study_saturation import print_saturation
+
+        print_saturation()
         return 0
     if options.out is None:
         raise ValueError("study corrosion writes a table and a plot; say where with --out DIR")

@@ -139,6 +139,11 @@ class _Cases:
         )  # fmt: skip
 
 
+def screw_scene(alloy: str, ratio: int, saturation: str) -> CorrosionScene:
+    """The scene of an alloy's published set with spacing = horizon / ratio."""
+    return replace(_Cases(alloy).scene(ratio), saturation=saturation)
+
+
 def _tight_lattice(solid: Solid, horizon: float, spacing: float, shift) -> Lattice:
     lower, upper = solid.points.min(axis=0), solid.points.max(axis=0)
     margin = horizon + 2 * spacing

@@ -8,6 +8,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from peri.corrosion import rates
 from peri.influence import Stencil, diffusion_stencil
 from peri.lattice import Lattice
@@ -78,6 +80,30 @@ def front_speeds(ratios=RATIOS) -> list[tuple[int, dict[int, float]]]:
     ]
 
 
+def faradaic_front_speed(stencil: Stencil, layers: int = 60) -> float:
+    """Speed of a travelling flat front over flux / C_solid, Faraday's law, between two events.
+
+    A metal layer loses at the rate of the bonds that it has to liquid layers, whatever it still
+    holds, and turns liquid when it is empty; as in rates.front_speed_ratio nothing is discretised
+    in time.
+    """
+    column = stencil.dense().sum(axis=tuple(range(1, stencil.dimension)))
+    reach, h = stencil.reach[0], stencil.spacing[0]
+    column = column[reach:]
+    rate = np.array([column[k:].sum() for k in range(1, reach + 1)])
+    left = np.ones(layers + reach)
+    front, time, marks = 0, 0.0, []
+    while front < layers:
+        step = np.min(left[front : front + reach] / rate)
+        left[front : front + reach] -= rate * step
+        time += step
+        while left[front] <= 1e-12:
+            front += 1
+        marks.append((time, h * front))
+    (t0, x0), (t1, x1) = marks[len(marks) // 2], marks[-1]
+    return (x1 - x0) / (t1 - t0) / stencil.front_strength()
+
+
 def print_rates() -> None:
     """Print the tables as they stand in peri/README.md (Markdown)."""
     for calibration, text in (
@@ -103,14 +129,16 @@ def print_rates() -> None:
 
     slow = math.log(CONCENTRATION_RATIO)
     print(
-        "\nSpeed of a travelling flat front over flux / C_solid, proportional law, C_solid/C_sat = "
-        f"{CONCENTRATION_RATIO:.0e}.\nExpected on every lattice: 1/ln(C_solid/C_sat) = "
-        f"{1 / slow:.5f}.\n"
+        "\nSpeed of a travelling flat front over i/(zF C_solid). Expected on every lattice: 1 by "
+        f"Faraday's law; {1 / slow:.5f}\n= 1/ln(C_solid/C_sat) by the proportional law, with "
+        f"C_solid/C_sat = {CONCENTRATION_RATIO:.0e}.\n"
     )
-    print(_line(["m", "1D", "2D", "3D"]))
-    print(_line(["---:"] * 4))
+    laws = ("Faraday", "proportional")
+    print(_line(["m", *(f"{law}, {d}D" for law in laws for d in (1, 2, 3))]))
+    print(_line(["---:"] * 7))
     for m, speeds in front_speeds():
-        print(_line([str(m), *(f"{v:.5f}" for v in speeds.values())]))
+        exact = [faradaic_front_speed(unit_stencil(d, m)) for d in (1, 2, 3)]
+        print(_line([str(m), *(f"{v:.5f}" for v in (*exact, *speeds.values()))]))
 
 
 def _line(entries: list[str]) -> str:

@@ -294,7 +294,9 @@ def test_plan_tells_sizes_time_memory_and_omissions(capsys):
 def test_studies_are_listed_and_refused_in_one_sentence(tmp_path, capsys):
     assert main(["study", "list"]) == 0
     assert "rates" in capsys.readouterr().out
-    _refused(capsys, ["study", "tensile-weather"], "tensile-weather", "corrosion, rates")
+    _refused(
+        capsys, ["study", "tensile-weather"], "tensile-weather", "corrosion, rates, saturation"
+    )
     _refused(capsys, ["study", "corrosion"], "--out")
     out = tmp_path / "studies"
     _refused(capsys, ["study", "corrosion", "--alloy", "Mg-7Gd", "--out", str(out)], "Mg-7Gd")
