@@ -14,9 +14,9 @@ from fem.quadrature_state import QuadratureState
 from fem.solvers import LinearSolver
 
 log = logging.getLogger(__name__)
-_LINE_SEARCH = (1.0, 0.5, 0.25, 0.1, 0.03)
+_TRIALS = 8  # of the line search
 _FIRST_SHARE, _LARGEST_SHARE = 0.01, 0.3  # of the elastic tangent
-_ACCEPTED_GROWTH = 0.9  # of the residual; plastic flow may raise it once on the way
+_ENOUGH = 0.5  # a step is long enough once the force along it has fallen to this share
 
 
 @dataclass
@@ -90,12 +90,42 @@ class EquilibriumSolver:
             step = np.where(self.fixed, prescribed, step)
         return step
 
-    def _stiffen(self, factor: float) -> float:
+    def _along(self, force: np.ndarray, step: np.ndarray) -> float:
+        """Force of the free unknowns along a step [J]."""
+        owned = self.assembler.discretisation.owned_nodes
+        free = np.where(self.fixed[:owned], 0.0, force[:owned])
+        return float(self._sum(float((free * step[:owned]).sum()))[0])
+
+    def _search(
+        self, displacement: np.ndarray, step: np.ndarray, start: float, norm: float
+    ) -> tuple[float, tuple[Assembled, float, float, float]]:
+        """Length of a step: where the force along it, `start` at its beginning, has nearly gone.
+
+        Plastic flow that turns its direction overshoots, and the residual may grow on the way to
+        equilibrium, so that it alone is no guide; with f lagged the force along the step is the
+        slope of a potential. Returns the factor and the assembly there, failed points included.
+        """
+        factor, here = 1.0, start
+        for _ in range(_TRIALS):
+            state = self._assemble(displacement + factor * step)
+            result, failed, trial, _ = state
+            if failed:
+                factor *= 0.5
+                continue
+            here = self._along(result.force, step)
+            log.debug("factor %.3g: residual %.3e, force along the step %.2e", factor, trial, here)
+            short = here * start > 0.0
+            if short or abs(here) <= _ENOUGH * abs(start) or trial <= 0.9 * norm:
+                break
+            factor *= min(max(start / (start - here), 0.1), 0.9)
+        return factor, state
+
+    def _stiffen(self, factor: float) -> bool:
         """Mix more or less of the elastic tangent in, by the step that the line search accepted.
 
-        Porous cells and slivers that soften have directions without stiffness, along which a full
-        step runs away; the equilibrium itself does not depend on the tangent. Returns the share if
-        the tangent at hand does not have it yet.
+        Porous cells and slivers have directions with hardly any stiffness, along which a full step
+        runs away; the equilibrium itself does not depend on the tangent. True if the share grew, so
+        that the tangent at hand does not have it yet.
         """
         material = self.assembler.material
         share = material[STIFFENING]
@@ -103,7 +133,7 @@ class EquilibriumSolver:
             material[STIFFENING] = min(_LARGEST_SHARE, max(_FIRST_SHARE, 4.0 * share))
         else:
             material[STIFFENING] = 0.25 * share if share > _FIRST_SHARE else 0.0
-        return material[STIFFENING] if material[STIFFENING] > share else 0.0
+        return material[STIFFENING] > share
 
     def predict(self, displacement: np.ndarray, prescribed: np.ndarray) -> np.ndarray | None:
         """Displacement after a change of the fixed unknowns, by the tangent at the old state."""
@@ -139,22 +169,12 @@ class EquilibriumSolver:
             step = self._correction(result, None, max(forcing, 1e-10))
             if step is None:
                 return Equilibrium(False, iteration, 0, 0, 0, "linear solver failed"), displacement
-            best_norm, best = np.inf, 0.0
-            for factor in _LINE_SEARCH:
-                result, failed, trial, axial = self._assemble(displacement + factor * step)
-                log.debug("factor %g: %d failed points, residual %.3e", factor, failed, trial)
-                if failed == 0 and trial < best_norm:
-                    best_norm, best = trial, factor
-                if failed == 0 and trial <= _ACCEPTED_GROWTH * norm:
-                    break
-            if best == 0.0:
+            along = self._along(result.force, step)
+            factor, (result, failed, norm, axial) = self._search(displacement, step, along, norm)
+            if failed:
                 return Equilibrium(False, iteration, 0, 0, 0, "inverted cell"), displacement
-            if best != factor:
-                result, failed, trial, axial = self._assemble(displacement + best * step)
-            displacement = displacement + best * step
-            norm = trial
-            share = self._stiffen(best)
-            if share > 0.0:
+            displacement = displacement + factor * step
+            if self._stiffen(factor):
                 result, failed, norm, axial = self._assemble(displacement)
         return (
             Equilibrium(False, self.maximum_iterations, 0, 0, 0, "no convergence"),

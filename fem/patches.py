@@ -23,6 +23,19 @@ def make_patches(cells: np.ndarray, count: int, size: int = PATCH_SIZE) -> np.nd
     return patch.reshape(-1).astype(np.int64)
 
 
+def sound_patches(cells: np.ndarray, count: int, sound: np.ndarray) -> np.ndarray:
+    """Patch numbers where only the cells with `sound` (nc,) True are joined; others stay alone.
+
+    Porous cells can dilate plastically, so they do not lock; in one patch with sound ones they
+    would force their dilation on them.
+    """
+    groups = len(cells) + np.arange(len(cells))
+    numbers = np.flatnonzero(sound)
+    if len(numbers):
+        groups[numbers] = make_patches(cells[numbers], count)
+    return np.unique(groups, return_inverse=True)[1]
+
+
 def face_pairs(cells: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Entries 4 c + face of the two sides of every inner face of (nc, 4) cells."""
     faces = np.sort(cells[:, FACES].reshape(-1, 3), axis=1).astype(np.int64)

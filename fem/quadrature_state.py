@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fem.constitutive.material import identity_plastic
+from fem.constitutive.gurson import BULK, SHEAR
+from fem.constitutive.material import identity_plastic, stiffness_left
 
 
 @dataclass
@@ -42,6 +43,22 @@ class QuadratureState:
     def __init__(self, damage: np.ndarray) -> None:
         self.old = Fields.virgin(damage)
         self.new = self.old.copy()
+
+    def average_damage(self, weights: np.ndarray) -> None:
+        """Give all points of a cell the mean of their new f; weights: (nq,) of the quadrature."""
+        mean = self.new.damage @ (weights / weights.sum())
+        self.new.damage[:] = mean[:, None]
+
+    def freed_energy(self, volumes: np.ndarray, material: np.ndarray) -> float:
+        """Elastic energy that the loss of stiffness from old to new f sets free [J].
+
+        volumes: (nl, nq) [m^3], zero where a point is another rank's; material: parameter vector.
+        """
+        before = stiffness_left(self.old.damage, material)
+        after = stiffness_left(self.new.damage, material)
+        stored = self.new.pressure**2 / (2.0 * material[BULK])
+        stored += self.new.mises**2 / (6.0 * material[SHEAR])
+        return float((volumes * stored / before * (1.0 - after / before)).sum())
 
     def commit(self) -> None:
         """Accept the tried state; the next assembly overwrites `new` completely."""

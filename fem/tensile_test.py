@@ -2,7 +2,8 @@
 
 Axial displacement is prescribed on both grips (5.4 of the dissertation: zero at one end, growing to
 10 % of the length at the other), quasi-static, in adaptive increments. Departure from the source:
-implicit equilibrium instead of an explicit code; cells at f_max are removed instead of kept.
+implicit equilibrium instead of an explicit code; f grows between the increments, one per cell;
+cells at f_max are removed instead of kept.
 """
 
 from __future__ import annotations
@@ -18,73 +19,23 @@ from mpi4py import MPI
 
 from fem import compat
 from fem.assembly import Assembler
-from fem.constitutive.gurson import LIMIT
+from fem.constitutive.gurson import LAGGED, LIMIT
 from fem.constitutive.material import Material
+from fem.damage_length import DamageLength
 from fem.discretisation import Discretisation, build
 from fem.newton import EquilibriumSolver
-from fem.patches import make_patches
+from fem.patches import sound_patches
 from fem.quadrature import Element, find_element
 from fem.quadrature_state import QuadratureState
 from fem.results import Increment, restore
-from fem.solid import Grips, Held, Remains, destinations, guide_vertices, remains
-from fem.solvers import SOLVERS, LinearSolver
+from fem.settings import TensileSettings
+from fem.solid import Held, Remains, destinations, guide_vertices, remains
+from fem.solvers import LinearSolver
 
 log = logging.getLogger(__name__)
 
+_SOUND = 0.1  # f up to which plastic flow is nearly isochoric, so that four-node cells lock
 _EASY, _HARD = 5, 8  # Newton iterations below which increments grow, above which they shrink
-
-
-@dataclass(frozen=True)
-class TensileSettings:
-    """How the test is run. Strains are elongation over the length of the whole solid.
-
-    element: "P1", "P1-Fbar", "P2" or "P2-Fbar". The test ends at `maximum_strain`, or, unless `full_curve`,
-    once the force has fallen by the fraction `peak_drop` below its peak. `tolerance` is that of the
-    residual force relative to the largest reaction. threads: None takes the processors there are
-    when the communicator has one rank, and one otherwise.
-    """
-
-    element: str = "P2"
-    maximum_strain: float = 0.1
-    first_increment: float = 0.002
-    maximum_increment: float = 0.005
-    minimum_increment: float = 1e-6
-    peak_drop: float = 0.02
-    full_curve: bool = False
-    tolerance: float = 1e-5
-    maximum_iterations: int = 12
-    linear_solver: str = "auto"
-    grips: Grips = field(default_factory=Grips)
-    threads: int | None = None
-
-    def __post_init__(self) -> None:
-        find_element(self.element)
-        for name, low, high in (
-            ("maximum_strain", 0.0, 10.0),
-            ("first_increment", 0.0, 10.0),
-            ("maximum_increment", 0.0, 10.0),
-            ("minimum_increment", 0.0, 10.0),
-            ("peak_drop", 0.0, 1.0),
-            ("tolerance", 0.0, 0.1),
-        ):
-            value = getattr(self, name)
-            if not low < value <= high:
-                raise ValueError(
-                    f"tensile {name} is {value}; it must be above {low} and at most {high}"
-                )
-        if not self.minimum_increment <= self.first_increment:
-            raise ValueError(
-                f"tensile first_increment is {self.first_increment}; it must be at least "
-                f"minimum_increment, {self.minimum_increment}"
-            )
-        if self.maximum_iterations < 1:
-            raise ValueError(f"tensile maximum_iterations is {self.maximum_iterations}; at least 1")
-        if self.linear_solver not in SOLVERS:
-            raise ValueError(
-                f"tensile linear_solver is {self.linear_solver!r}; allowed are {', '.join(SOLVERS)}"
-            )
-        if self.threads is not None and self.threads < 1:
-            raise ValueError(f"tensile threads is {self.threads}; it must be at least 1")
 
 
 @dataclass
@@ -142,7 +93,7 @@ def tensile_test(
     error, prepared = None, None
     if comm.rank == 0:
         try:
-            prepared = _prepare(points, cells, f0, material, settings.grips, element, comm.size)
+            prepared = _prepare(points, cells, f0, material, settings, element, comm.size)
         except ValueError as problem:
             error = str(problem)
     error = comm.bcast(error)
@@ -194,7 +145,7 @@ class _Prepared:
         }
 
 
-def _prepare(points, cells, f0, material, grips, element, ranks) -> _Prepared:
+def _prepare(points, cells, f0, material, settings, element, ranks) -> _Prepared:
     points = np.ascontiguousarray(points, float)
     cells = np.ascontiguousarray(cells, np.int64)
     if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
@@ -217,19 +168,21 @@ def _prepare(points, cells, f0, material, grips, element, ranks) -> _Prepared:
         raise ValueError(
             f"f0 runs from {damage.min()} to {damage.max()}; it must lie in [0, 1/q1 = {limit:.6g}]"
         )
-    held = Held.of(points, grips)
+    if settings.damage == "cell":
+        damage[:] = (damage @ element.weights / element.weights.sum())[:, None]
+    held = Held.of(points, settings.grips)
     parameters = material.parameters()
     alive = ~(damage >= parameters[LIMIT]).all(axis=1)
     bottom, top = held.at_bottom(points), held.at_top(points)
     left = remains(cells, alive, bottom, top)
     guides: list[tuple[int, int]] = []
-    if not left.severed and grips.lateral == "free":
+    if not left.severed and settings.grips.lateral == "free":
         guides = guide_vertices(points, cells, left.pieces, bottom)
     kept = np.flatnonzero(left.kept)
     groups, plan = np.arange(len(kept)), (np.zeros(0), np.zeros(1))
     if len(kept):
         if element.patches:
-            groups = make_patches(cells[kept], len(points))
+            groups = sound_patches(cells[kept], len(points), damage[kept].mean(axis=1) < _SOUND)
         plan = destinations(points, cells[kept], groups, ranks)
     damage = np.minimum(damage, parameters[LIMIT])
     return _Prepared(points, cells, damage, held, left, guides, plan, kept, groups)
@@ -256,6 +209,7 @@ class _Test:
         groups = self._scatter(local.original_cells, lambda: prepared.groups)
         self.discretisation = build(local, element, groups, threads)
         self.assembler = Assembler(self.discretisation, material, threads)
+        self.assembler.material[LAGGED] = float(settings.damage != "implicit")
         damage = self._scatter(
             self.discretisation.original_cells, lambda: prepared.damage[prepared.kept]
         )
@@ -270,6 +224,8 @@ class _Test:
         )  # fmt: skip
         self.setup_seconds = time.perf_counter() - self.started
         self.lost_cells = 0
+        if root and settings.damage_length > 0.0:
+            self.average = DamageLength(*self._compact(), settings.damage_length)
 
     def _compact(self) -> tuple[np.ndarray, np.ndarray]:
         """Vertices in use and kept cells numbered by them; `self.vertices` leads back."""
@@ -329,7 +285,7 @@ class _Test:
             previous, previous_size = tried - displacement, size
             displacement = tried
             strain += size
-            self.state.commit()
+            dissipated += self._advance()
             work += 0.5 * (rows[-1]["force"] + outcome.force) * size * length
             dissipated += outcome.dissipated
             rows.append(
@@ -367,6 +323,35 @@ class _Test:
         result = self._result(rows, status, displacement)
         self.linear.destroy()
         return result
+
+    def _advance(self) -> float:
+        """Accept the tried state; returns the elastic energy that the growth of f sets free [J]."""
+        d, state = self.discretisation, self.state
+        if self.settings.damage == "cell":
+            state.average_damage(d.element.weights)
+        if self.settings.damage_length > 0.0:
+            self._spread_damage()
+        freed = state.freed_energy(d.volumes * d.owned[:, None], self.assembler.material)
+        state.commit()
+        return float(self.comm.allreduce(freed))
+
+    def _spread_damage(self) -> None:
+        """Average the growth of f over the damage length; solved on rank 0, which has the mesh."""
+        d, old, new = self.discretisation, self.state.old, self.state.new
+        mine = d.owned & self.assembler.alive
+        growth = np.log((1.0 - old.damage[mine, 0]) / (1.0 - new.damage[mine, 0]))
+        parts = self.comm.gather((d.original_cells[mine], growth, old.damage[mine, 0] > 0.0))
+        total = np.zeros(len(self.prepared.kept) if self.comm.rank == 0 else 0)
+
+        def averaged() -> np.ndarray:
+            porous = np.zeros(len(total), bool)
+            for cells, values, active in parts:
+                total[cells], porous[cells] = values, active
+            return self.average.average(total, porous)
+
+        spread = self._scatter(d.original_cells, averaged)[:, None]
+        damage = 1.0 - (1.0 - old.damage) * np.exp(-spread)
+        new.damage[:] = np.clip(damage, 0.0, self.limit)
 
     def _increment(self, displacement, strain, size, previous, previous_size):
         """Predict and solve; returns (outcome or None, displacement)."""
@@ -479,10 +464,11 @@ def peak_of_curve(elongation: np.ndarray, force: np.ndarray) -> tuple[float, flo
     if k == 0 or k == len(force) - 1:
         return float(elongation[k]), float(force[k])
     x, y = elongation[k - 1 : k + 2], force[k - 1 : k + 2]
-    second, first, constant = np.polyfit(x - x[1], y, 2)
+    width = x[2] - x[0]
+    second, first, constant = np.polyfit((x - x[1]) / width, y, 2)
     if second >= 0:
         return float(x[1]), float(y[1])
-    shift = -0.5 * first / second
+    shift = -0.5 * width * first / second
     if not x[0] <= x[1] + shift <= x[2]:
         return float(x[1]), float(y[1])
     return float(x[1] + shift), float(constant - 0.25 * first**2 / second)

@@ -16,6 +16,11 @@ f = 1 - (1 - f_n) exp(-a) integrates (5.42) exactly; strain-controlled nucleatio
 adds f_N times the increment of a normal distribution in plastic strain. The plastic strain grows by
 sqrt(2/3 d^p : d^p) = sqrt(de_q^2 + 2/9 a^2), as (5.39). J2 is f = 0 in the same equations.
 f stays at most at `limit`, where the strength is RESIDUAL_STRENGTH of the intact one.
+
+LAGGED keeps f of the start of the step in R1 and R2 and updates it afterwards: the step is then
+that of a hardening metal without softening, whose equilibrium is unique and whose tangent is nearly
+symmetric; the error is of first order in the step (Newton finds the coupled equations' solution
+hardly ever once many points soften at the same time).
 """
 
 from __future__ import annotations
@@ -29,8 +34,9 @@ from fem.constitutive.hardening import flow_stress
 
 # indices of the parameter vector of the kernels
 BULK, SHEAR, Q1, Q2, Q3, NUCLEATED, NUCLEATION_MEAN, NUCLEATION_DEVIATION = range(8)
-COALESCENCE, ACCELERATION, LIMIT, STIFFENING, PARAMETERS = 8, 9, 10, 11, 12
-RESIDUAL_STRENGTH = 1e-3
+COALESCENCE, ACCELERATION, LIMIT, LAGGED, STIFFNESS_LOSS, STIFFENING = range(8, 14)
+PARAMETERS = 14
+RESIDUAL_STRENGTH = 1e-2
 _MAX_ARGUMENT = 200.0
 _NEWTON_ITERATIONS = 25
 _BISECTIONS = 200
@@ -86,7 +92,11 @@ def _system(a, beta, volume, mises, jacobian, strain, damage, material, kind, ha
         f, f_a, f_b, f_q = material[LIMIT], 0.0, 0.0, 0.0
     elif f < 0.0:
         f, f_a, f_b, f_q = 0.0, 0.0, 0.0, 0.0
-    g, g_f = effective_damage(f, material)
+    if material[LAGGED] > 0.0:
+        g, g_f = effective_damage(damage, material)
+        g_f = 0.0
+    else:
+        g, g_f = effective_damage(f, material)
     g_a, g_b, g_q = g_f * f_a, g_f * f_b, g_f * f_q
 
     bulk = material[BULK]

@@ -109,8 +109,8 @@ def fit_from_curve(
     if used.sum() < _FEWEST_POINTS:
         raise ValueError(
             f"the stress-strain curve has {int(used.sum())} points beyond {PROOF_STRAIN:.1%} "
-            f"plastic strain with young = {young:.4g} Pa; at least {_FEWEST_POINTS} are needed (check the "
-            "units of strain and stress)"
+            f"plastic strain with young = {young:.4g} Pa; at least {_FEWEST_POINTS} are needed "
+            "(check the units of strain and stress)"
         )
     e, s = plastic[used], true_stress[used]
     if np.any(np.diff(e) <= 0):

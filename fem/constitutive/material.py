@@ -27,6 +27,8 @@ from fem.constitutive.gurson import (
     RESIDUAL_STRENGTH,
     SHEAR,
     STIFFENING,
+    STIFFNESS_LOSS,
+    effective_damage,
     return_map,
 )
 from fem.constitutive.hardening import Hardening, VoceHardening, flow_stress
@@ -37,6 +39,9 @@ from fem.constitutive.hencky import (
     push_forward,
     spatial_tangent,
 )
+
+# Points at f_max carry nothing; this share of the moduli keeps a cell's other points held together.
+VOID_STIFFNESS = 1e-4
 
 
 def _require(condition: bool, field: str, value: object, allowed: str) -> None:
@@ -53,6 +58,10 @@ class Material:
     volume fraction, mean and standard deviation of the strain) and coalescence (Tvergaard and
     Needleman: from f = `coalescence` on, f grows in the yield function such that the metal fails at
     f = `failure`).
+    stiffness_loss: the moduli fall with f as the strength does, by 1 - q1 f. Departure from the
+    source, which keeps them: metal that yields at a hundredth of the stress would yield at a
+    hundredth of the strain too, and no Newton iteration gets through. What it does to the peak
+    force is in tests/fem/test_corroded_screw.py.
     """
 
     young: float
@@ -65,6 +74,7 @@ class Material:
     nucleation_deviation: float = 0.1
     coalescence: float | None = None
     failure: float | None = None
+    stiffness_loss: bool = True
 
     def __post_init__(self) -> None:
         _require(
@@ -116,6 +126,7 @@ class Material:
         vector[NUCLEATED] = self.nucleated_fraction
         vector[NUCLEATION_MEAN] = self.nucleation_strain
         vector[NUCLEATION_DEVIATION] = self.nucleation_deviation
+        vector[STIFFNESS_LOSS] = float(self.stiffness_loss)
         effective_limit = (1.0 - RESIDUAL_STRENGTH) / self.q1
         vector[COALESCENCE], vector[ACCELERATION] = 1.0, 1.0
         vector[LIMIT] = effective_limit
@@ -128,6 +139,26 @@ class Material:
                 self.coalescence + (effective_limit - self.coalescence) / vector[ACCELERATION]
             )
         return vector
+
+
+@njit(cache=True, nogil=True)
+def _stiffness_left(damage: float, material: np.ndarray) -> float:
+    """Moduli over those of the intact metal: 1 - q1 f*, as the strength; a void's beyond f_max."""
+    if damage >= material[LIMIT]:
+        return VOID_STIFFNESS
+    if material[STIFFNESS_LOSS] > 0.0:
+        effective, _ = effective_damage(damage, material)
+        return 1.0 - material[Q1] * effective
+    return 1.0
+
+
+def stiffness_left(damage: np.ndarray, material: np.ndarray) -> np.ndarray:
+    """`_stiffness_left` for arrays of f; material: the parameter vector."""
+    onset = material[COALESCENCE]
+    faster = onset + material[ACCELERATION] * (damage - onset)
+    effective = np.where(damage <= onset, damage, faster)
+    left = 1.0 - material[STIFFNESS_LOSS] * material[Q1] * effective
+    return np.where(damage >= material[LIMIT], VOID_STIFFNESS, left)
 
 
 @njit(cache=True, nogil=True)
@@ -168,16 +199,21 @@ def update_point(
         deviator[a] -= volume / 3.0
     squared = deviator[0] ** 2 + deviator[1] ** 2 + deviator[2] ** 2
     mises = shear * np.sqrt(6.0 * squared)
-    a_pl, beta, new_strain, new_damage, flow, a_v, b_v, a_q, b_q = return_map(
-        volume, mises, jacobian, strain, damage, material, kind, hardening
-    )
+    keep = _stiffness_left(damage, material)
+    if damage >= material[LIMIT]:
+        a_pl, beta, new_strain, new_damage, flow = 0.0, 1.0, strain, damage, 1.0
+        a_v = b_v = a_q = b_q = 0.0
+    else:  # the return depends on the ratio of flow stress and moduli only
+        a_pl, beta, new_strain, new_damage, flow, a_v, b_v, a_q, b_q = return_map(
+            volume, mises, jacobian / keep, strain, damage, material, kind, hardening
+        )
     pressure = bulk * (volume - a_pl)
     scale = 2.0 * shear * beta
     tau = from_principal(
         vectors,
-        pressure + scale * deviator[0],
-        pressure + scale * deviator[1],
-        pressure + scale * deviator[2],
+        keep * (pressure + scale * deviator[0]),
+        keep * (pressure + scale * deviator[1]),
+        keep * (pressure + scale * deviator[2]),
     )
     stress[0, 0], stress[1, 1], stress[2, 2] = tau[0], tau[1], tau[2]
     stress[0, 1] = stress[1, 0] = tau[3]
@@ -202,7 +238,7 @@ def update_point(
     dissipated = 0.0
     if new_strain > strain:
         old_flow, _ = flow_stress(kind, hardening, strain)
-        mean = 0.5 * (1.0 + old_flow * jacobian / flow)
+        mean = 0.5 * (1.0 + old_flow * jacobian / (keep * flow))
         dissipated = mean * (pressure * a_pl + final * (mises - final) / (3.0 * shear))
     if need_tangent:
         for b in range(3):
@@ -216,15 +252,18 @@ def update_point(
             principal[a, a] += 2.0 * shear * beta
         # share of the elastic tangent, which Newton asks for where its steps go astray
         share = material[STIFFENING]
-        if share > 0.0:
-            for a in range(3):
-                for b in range(3):
-                    elastic_part = bulk + (4.0 if a == b else -2.0) / 3.0 * shear
-                    principal[a, b] += share * (elastic_part - principal[a, b])
-        ratio = 2.0 * shear * (beta + share * (1.0 - beta))
+        for a in range(3):
+            for b in range(3):
+                elastic_part = bulk + (4.0 if a == b else -2.0) / 3.0 * shear
+                principal[a, b] += share * (elastic_part - principal[a, b])
+                principal[a, b] *= keep
+        ratio = 2.0 * shear * keep * (beta + share * (1.0 - beta))
         spatial_tangent(principal, stretches, vectors, ratio, tangent, dyad[0], dyad[1])
     finite = np.isfinite(pressure) and np.isfinite(final) and np.isfinite(new_strain)
-    return finite, new_strain, new_damage, stored, dissipated, final, pressure
+    return (
+        finite, new_strain, new_damage, keep * stored, keep * dissipated, keep * final,
+        keep * pressure,
+    )  # fmt: skip
 
 
 @njit(cache=True, nogil=True)

@@ -70,7 +70,7 @@ def test_one_rank_goes_on_with_two_and_back(tmp_path):
 def test_checkpoint_of_a_finished_test_goes_on_to_larger_strain(tmp_path):
     points, cells = box((1, 1, 2), (1e-3, 1e-3, 2e-3))
     checkpoint = tmp_path / "folder" / "checkpoint.h5"
-    settings = {"element": "P1", "full_curve": True, "tolerance": 1e-9}
+    settings = {"element": "P1", "full_curve": True, "tolerance": 1e-9, "damage": "implicit"}
     tensile_test(
         points, cells, 0.1, MATERIAL, TensileSettings(maximum_strain=0.02, **settings),
         observers=[Checkpoint(checkpoint, every=2)],

@@ -1,5 +1,7 @@
 """The tensile test on small meshes: exact solutions, statuses, monotone mapping, refusals."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -14,6 +16,7 @@ from tests.fem.one_dimension import uniaxial_curve
 
 LAW = VoceHardening(130e6, 156e6, 10.6)
 MAGNESIUM = Material(43e9, 0.3, LAW)
+FULL_STIFFNESS = replace(MAGNESIUM, stiffness_loss=False)
 SMALL_BAR = round_bar(2, 4, 1e-3, 4e-3, waist=0.3)
 BAR = round_bar(4, 6, 1e-3, 4e-3, waist=0.3)
 ELEMENTS = ["P1", "P1-Fbar", "P2", "P2-Fbar"]
@@ -41,9 +44,10 @@ def test_bar_follows_the_independent_integration(f0):
     """Force, strain and f of a uniform bar against tests/fem/one_dimension.py."""
     points, cells = box((1, 1, 1), (1e-3, 1e-3, 1e-3))
     settings = TensileSettings(
-        element="P1", maximum_strain=0.1, full_curve=True, tolerance=1e-8, maximum_increment=0.002
-    )
-    result = tensile_test(points, cells, f0, MAGNESIUM, settings)
+        element="P1", maximum_strain=0.1, full_curve=True, tolerance=1e-8, maximum_increment=0.002,
+        damage="implicit",
+    )  # fmt: skip
+    result = tensile_test(points, cells, f0, FULL_STIFFNESS, settings)
     strain, nominal, f, accumulated = uniaxial_curve(
         43e9, 0.3, lambda e: 130e6 + 156e6 * (1 - np.exp(-10.6 * e)), 1.5, f0, 0.06 * 286e6, 4000
     )
@@ -90,19 +94,20 @@ def test_locking_and_its_cure():
     assert 0.98 < force["P2-Fbar"] / force["P2"] < 1.0  # measured 0.988
 
 
-def test_energy_balance():
+@pytest.mark.parametrize("damage", ["cell", "implicit"])
+def test_energy_balance(damage):
     """Work of the grips = stored + dissipated, to the error of the increments."""
     residuals = []
     for increment in (0.002, 0.001):
         settings = TensileSettings(
             maximum_strain=0.02, full_curve=True, first_increment=increment,
-            maximum_increment=increment, tolerance=1e-7,
+            maximum_increment=increment, tolerance=1e-7, damage=damage,
         )  # fmt: skip
         history = tensile_test(*SMALL_BAR, 0.1, MAGNESIUM, settings).history
-        assert history["dissipated"][-1] > 0.9 * history["work"][-1] > 0
+        assert history["dissipated"][-1] > 0.85 * history["work"][-1] > 0
         gap = history["work"] - history["stored"] - history["dissipated"]
         residuals.append(abs(gap[-1]) / history["work"][-1])
-    # at least first order in the increment: measured 0.25 % and 0.09 %
+    # at least first order in the increment: measured 0.48 and 0.16 % ("cell"), 0.47 and 0.15 %
     assert residuals[0] < 0.005 and residuals[1] < 0.5 * residuals[0]
 
 
@@ -251,16 +256,18 @@ def test_elastic_bar(element, poisson):
 
 
 @pytest.mark.parametrize("f0", [0.01, 0.3])
-def test_growth_law_of_f_in_a_uniform_brick(f0):
+@pytest.mark.parametrize("damage", ["cell", "implicit"])
+def test_growth_law_of_f_in_a_uniform_brick(damage, f0):
     """1 - f = (1 - f0) exp(-plastic volume strain), the latter from the moved corners.
 
     It is ln J less the elastic (1 - 2 nu) tau / E, with tau = force stretch / A.
     """
     points, cells = box((1, 1, 1), (1e-3, 1e-3, 1e-3))
     settings = TensileSettings(
-        element="P1", maximum_strain=0.2, maximum_increment=0.01, full_curve=True, tolerance=1e-9
-    )
-    result = tensile_test(points, cells, f0, MAGNESIUM, settings)
+        element="P1", maximum_strain=0.2, maximum_increment=0.01, full_curve=True, tolerance=1e-9,
+        damage=damage,
+    )  # fmt: skip
+    result = tensile_test(points, cells, f0, FULL_STIFFNESS, settings)
     moved = points + result.displacement
     x, y, z = (np.flatnonzero((points == corner).all(axis=1))[0] for corner in 1e-3 * np.eye(3))
     volume = np.log(np.linalg.det(moved[[x, y, z]] - moved[0]) / 1e-9)
@@ -284,3 +291,20 @@ def test_damage_added_anywhere_never_gives_more_force():
         field += np.where(rng.random(shape) < 0.1, rng.uniform(0, 0.5, shape), 0.0)
         field = np.minimum(field, 0.6)
     assert np.all(np.diff(forces, axis=0) < 0)
+
+
+def test_lagged_damage_converges_to_the_implicit_one():
+    """The peak force of a porous bar with f updated between increments, first order in them."""
+    settings = {"maximum_strain": 0.1, "tolerance": 1e-7, "element": "P1", "full_curve": True}
+    points, cells = box((1, 1, 1), (1e-3, 1e-3, 1e-3))
+    force = {}
+    for damage, increment in (("implicit", 5e-4), ("cell", 0.004), ("cell", 0.002)):
+        steps = {"first_increment": increment, "maximum_increment": increment, "damage": damage}
+        result = tensile_test(points, cells, 0.3, MAGNESIUM, TensileSettings(**settings, **steps))
+        force[damage, increment] = result.force[-1]
+    errors = [
+        force["cell", increment] / force["implicit", 5e-4] - 1 for increment in (0.004, 0.002)
+    ]
+    # measured 2.5e-3 and 1.2e-3
+    assert 0 < errors[1] < errors[0] < 0.003
+    assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.3)

@@ -1,0 +1,85 @@
+"""How a tensile test is run: every numerical choice, checked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fem.quadrature import find_element
+from fem.solid import Grips
+from fem.solvers import SOLVERS
+
+DAMAGE_UPDATES = ("cell", "point", "implicit")
+
+
+@dataclass(frozen=True)
+class TensileSettings:
+    """How the test is run. Strains are elongation over the length of the whole solid.
+
+    element: "P1", "P1-Fbar", "P2" or "P2-Fbar". The test ends at `maximum_strain`, or, unless
+    `full_curve`, once the force has fallen by the fraction `peak_drop` below its peak. `tolerance`
+    is that of the residual force relative to the largest reaction. threads: None takes the
+    processors there are when the communicator has one rank, and one otherwise.
+
+    damage: how f grows: "cell" (one f per cell, updated between increments), "point" (one per
+    quadrature point, likewise) or "implicit" (per point and within the increment, as published;
+    heavily corroded solids hardly ever get to their peak with it). damage_length [m]: the growth of
+    f is averaged over it (`fem.damage_length`; only with "cell"); 0 does not average.
+    """
+
+    element: str = "P2"
+    maximum_strain: float = 0.1
+    first_increment: float = 0.002
+    maximum_increment: float = 0.005
+    minimum_increment: float = 1e-6
+    peak_drop: float = 0.02
+    full_curve: bool = False
+    tolerance: float = 1e-5
+    maximum_iterations: int = 12
+    linear_solver: str = "auto"
+    damage: str = "cell"
+    damage_length: float = 0.0
+    grips: Grips = field(default_factory=Grips)
+    threads: int | None = None
+
+    def __post_init__(self) -> None:
+        find_element(self.element)
+        for name, low, high in (
+            ("maximum_strain", 0.0, 10.0),
+            ("first_increment", 0.0, 10.0),
+            ("maximum_increment", 0.0, 10.0),
+            ("minimum_increment", 0.0, 10.0),
+            ("peak_drop", 0.0, 1.0),
+            ("tolerance", 0.0, 0.1),
+        ):
+            value = getattr(self, name)
+            if not low < value <= high:
+                raise ValueError(
+                    f"tensile {name} is {value}; it must be above {low} and at most {high}"
+                )
+        if not self.minimum_increment <= self.first_increment:
+            raise ValueError(
+                f"tensile first_increment is {self.first_increment}; it must be at least "
+                f"minimum_increment, {self.minimum_increment}"
+            )
+        if self.maximum_iterations < 1:
+            raise ValueError(f"tensile maximum_iterations is {self.maximum_iterations}; at least 1")
+        if self.linear_solver not in SOLVERS:
+            raise ValueError(
+                f"tensile linear_solver is {self.linear_solver!r}; allowed are {', '.join(SOLVERS)}"
+            )
+        if self.damage not in DAMAGE_UPDATES:
+            raise ValueError(
+                f"tensile damage is {self.damage!r}; allowed are {', '.join(DAMAGE_UPDATES)}"
+            )
+        if not 0.0 <= self.damage_length < np.inf:
+            raise ValueError(
+                f"tensile damage_length is {self.damage_length}; it must be a length in m or zero"
+            )
+        if self.damage_length > 0.0 and self.damage != "cell":
+            raise ValueError(
+                f"tensile damage is {self.damage!r}; a damage_length is only allowed with 'cell'"
+            )
+        if self.threads is not None and self.threads < 1:
+            raise ValueError(f"tensile threads is {self.threads}; it must be at least 1")
