@@ -34,7 +34,10 @@ from fem.solvers import LinearSolver
 
 log = logging.getLogger(__name__)
 
-_SOUND = 0.1  # f up to which plastic flow is nearly isochoric, so that four-node cells lock
+# f up to which plastic flow is nearly isochoric, so that four-node cells lock. With 0.1 the patches
+# hold cells of too different pressures: after 24 weeks stored and dissipated energy are 13 % more
+# than the work of the grips; with 0.02 they are 0.1 % more.
+_SOUND = 0.02
 _EASY, _HARD = 5, 8  # Newton iterations below which increments grow, above which they shrink
 
 
