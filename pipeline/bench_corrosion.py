@@ -238,7 +238,7 @@ def pitting_scene(shape: tuple[int, int, int]) -> CorrosionScene:
     At this spacing the limit of stability gives about as many explicit steps to 300 s as the
     public code's 653.
     """
-    spacing = 23e-6
+    spacing = 27.5e-6
     lattice = Lattice((0.0,) * 3, (spacing,) * 3, shape)
     x, y, z = lattice.coordinates()
     middle, top = 0.5 * spacing * (shape[0] - 1), spacing * (shape[2] - 1)
