@@ -8,6 +8,7 @@ from pipeline.resolution import RESOLUTIONS
 from pipeline.scene import (
     BOUNDARIES,
     CALIBRATIONS,
+    DAMAGE_UPDATES,
     DOMAIN_SHAPES,
     LATERAL,
     SATURATIONS,
@@ -91,6 +92,14 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
     )
     tensile.add_argument("--final-strain", type=float, metavar="X", help="nominal (0.1)")
     tensile.add_argument("--increment", type=float, metavar="X", help="largest strain increment")
+    tensile.add_argument(
+        "--damage",
+        metavar="D",
+        help=f"how f grows: {', '.join(DAMAGE_UPDATES)} (one f per cell; implicit: as published)",
+    )
+    tensile.add_argument(
+        "--damage-length", metavar="LENGTH", help="over which the growth of f is averaged (0mm)"
+    )
 
 
 def scene_from_options(options: argparse.Namespace) -> Scene:
@@ -122,8 +131,9 @@ def scene_from_options(options: argparse.Namespace) -> Scene:
         final_strain="final_strain",
         increment="increment",
         peak_drop="peak_drop",
+        damage="damage",
     )
-    for name in ("bottom_grip", "top_grip"):
+    for name in ("bottom_grip", "top_grip", "damage_length"):
         if getattr(options, name) is not None:
             tensile[name] = length(name)
     return resolve_scene(

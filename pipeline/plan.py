@@ -12,7 +12,7 @@ from fem.quadrature import ELEMENTS
 from peri.influence import diffusion_stencil
 from pipeline import machine
 from pipeline.corrosion_stage import domain_lattice, liquid_domain, march_omissions
-from pipeline.scene import Scene, SceneError
+from pipeline.scene import Scene, SceneError, TensileScene
 from pipeline.surface import Solid
 from pipeline.units import format_bytes, format_length, format_seconds
 
@@ -301,6 +301,7 @@ def scene_omissions(scene: Scene) -> list[Omission]:
     ]
     if scene.immersion[0].seconds == 0 and len(scene.immersion) == 1:
         found.append(Omission("corrosion", "only time zero is asked for", "none"))
+    found += _tensile_departures(scene.tensile)
     drop = scene.tensile.peak_drop
     if drop < 1:
         found.append(
@@ -308,6 +309,27 @@ def scene_omissions(scene: Scene) -> list[Omission]:
                 "the end of a force-elongation curve",
                 f"a test ends once the force is {100 * drop:g} % below its peak (--peak-drop)",
                 "none in peak force and elongation at peak",
+            )
+        )
+    return found
+
+
+def _tensile_departures(test: TensileScene) -> list[Omission]:
+    """Where the tensile test does less than the source, or something else."""
+    found = [
+        Omission(
+            "the full moduli of corroded metal",
+            "the moduli fall with f as the strength does, by 1 - q1 f; the source keeps them",
+            "an assumption (fem/README.md)",
+        )
+    ]
+    if test.damage != "implicit":
+        each = "cell" if test.damage == "cell" else "quadrature point"
+        found.append(
+            Omission(
+                "growth of f within an increment",
+                f"f is one per {each} and grows between increments (--damage implicit: within them)",
+                "part of the error of the increment (perilife study tensile)",
             )
         )
     return found

@@ -49,10 +49,12 @@ _TITLES = {
     "step": "Fixed time step",
     "rate_change": "Change of rate per time step",
     "peak_drop": "Ends at this drop from the peak",
+    "damage": "Growth of f",
+    "damage_length": "Length over which the growth of f is averaged",
 }
 _LENGTHS = (
     "diameter length pitch minor_diameter root_diameter slot_width slot_depth spacing horizon "
-    "radial_margin axial_margin size size_fine bottom_grip top_grip"
+    "radial_margin axial_margin size size_fine bottom_grip top_grip damage_length"
 ).split()
 
 

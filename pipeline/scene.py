@@ -28,6 +28,8 @@ OMITTABLE = ("liquid", "solid_core", "far_liquid")
 
 CALIBRATIONS = ("discrete", "closed")
 LATERAL = ("free", "clamped")
+DAMAGE_UPDATES = ("cell", "point", "implicit")
+"""How f grows; named as in fem.settings, which is slow to import."""
 
 
 class SceneError(ValueError):
@@ -242,7 +244,8 @@ class TensileScene:
 
     bottom_grip, top_grip: held lengths at the ends (m), 0 holds the end faces only; lateral:
     whether grips leave lateral motion free; peak_drop: the test ends when the force has fallen
-    by this fraction below its peak, or at the final strain; 1 asks for the whole curve.
+    by this fraction below its peak, or at the final strain; 1 asks for the whole curve; damage,
+    damage_length: how f grows and over which length (m) its growth is averaged (fem.settings).
     """
 
     element: str = "P2"
@@ -252,12 +255,21 @@ class TensileScene:
     top_grip: float = 0.0
     lateral: str = "free"
     peak_drop: float = 0.05
+    damage: str = "cell"
+    damage_length: float = 0.0
 
     def __post_init__(self) -> None:
         _one_of("element", self.element, tuple(ELEMENTS))
         _one_of("lateral", self.lateral, LATERAL)
+        _one_of("damage", self.damage, DAMAGE_UPDATES)
         _check(0 < self.peak_drop <= 1, "peak drop", self.peak_drop, "in (0, 1]")
-        for name in ("bottom_grip", "top_grip"):
+        _check(
+            self.damage_length == 0 or self.damage == "cell",
+            "damage",
+            self.damage,
+            "cell where a damage length is given",
+        )
+        for name in ("bottom_grip", "top_grip", "damage_length"):
             value = getattr(self, name)
             _check(math.isfinite(value) and value >= 0, name.replace("_", " "), value, "at least 0")
         _check(0 < self.final_strain <= 1, "final strain", self.final_strain, "in (0, 1]")
@@ -380,6 +392,7 @@ def map_hash(scene: Scene, alloy: str, time: ImmersionTime) -> str:
         corrosion_hash(scene, alloy),
         time.seconds,
         scene.tensile.element,
+        scene.tensile.damage == "cell",
         scene.alloy(alloy).material.q1,
     )
 

@@ -30,7 +30,13 @@ CURVE_FILE = "tensile.csv"
 LOG_FILE = "tensile.log"
 PROGRESS_FILE = ".tensile.progress"
 PARENT_VARIABLE = "PERILIFE_PARENT"
+CHECKPOINT_FILE = ".tensile.checkpoint.h5"
 POLL_SECONDS = 0.1
+CHECKPOINT_SECONDS = 30.0
+SERIES_EVERY = 4
+"""Increments from one file of the ParaView series to the next."""
+
+logger = logging.getLogger(__name__)
 
 
 class TensileStageError(RuntimeError):
@@ -66,12 +72,15 @@ def run_job(job: TensileJob, comm: object = None) -> None:
     """Do one tensile test in this process and write its results on rank 0.
 
     comm: an mpi4py communicator, MPI.COMM_WORLD when None.
-    Writes tensile.csv, tensile.json and the ParaView file to `job.out`.
+    Writes tensile.csv, tensile.json, the ParaView series tensile.pvd (every fourth increment) and
+    tensile.vtu (the end, on the whole mesh) to `job.out`.  A checkpoint of an interrupted test of
+    the same job is taken up; the ParaView series then begins there.
     """
     from mpi4py import MPI
 
     from fem.constitutive.hardening import VoceHardening
     from fem.constitutive.material import Material
+    from fem.results import Checkpoint, ParaviewSeries
     from fem.solid import Grips
     from fem.tensile_test import TensileSettings, tensile_test
 
@@ -87,34 +96,70 @@ def run_job(job: TensileJob, comm: object = None) -> None:
             comm.Abort(1)
         write_text(out / PROGRESS_FILE, f"{fraction:.4f}")
 
-    result = tensile_test(
-        mesh.points if root else None,
-        mesh.cells if root else None,
-        damage,
-        Material(
-            young=values.young_modulus,
-            poisson=values.poisson_ratio,
-            hardening=VoceHardening(
-                values.initial_yield_stress, values.hardening_capacity, values.hardening_rate
-            ),
-            q1=values.q1,
+    material = Material(
+        young=values.young_modulus,
+        poisson=values.poisson_ratio,
+        hardening=VoceHardening(
+            values.initial_yield_stress, values.hardening_capacity, values.hardening_rate
         ),
-        TensileSettings(
-            element=test.element,
-            maximum_strain=test.final_strain,
-            first_increment=min(0.002, test.increment),
-            maximum_increment=test.increment,
-            full_curve=test.peak_drop >= 1,
-            peak_drop=test.peak_drop,
-            grips=Grips(test.bottom_grip, test.top_grip, test.lateral),
-            threads=int(os.environ.get("NUMBA_NUM_THREADS", "0")) or None,
-        ),
-        comm,
-        advanced if root else None,
+        q1=values.q1,
     )
+    settings = TensileSettings(
+        element=test.element,
+        maximum_strain=test.final_strain,
+        first_increment=min(0.002, test.increment),
+        maximum_increment=test.increment,
+        full_curve=test.peak_drop >= 1,
+        peak_drop=test.peak_drop,
+        damage=test.damage,
+        damage_length=test.damage_length,
+        grips=Grips(test.bottom_grip, test.top_grip, test.lateral),
+        threads=int(os.environ.get("NUMBA_NUM_THREADS", "0")) or None,
+    )
+    checkpoint = out / CHECKPOINT_FILE
+
+    def pull(resume: Path | None):
+        return tensile_test(
+            mesh.points if root else None,
+            mesh.cells if root else None,
+            damage,
+            material,
+            settings,
+            comm,
+            advanced if root else None,
+            observers=(
+                ParaviewSeries(out, SERIES_EVERY),
+                _Seldom(Checkpoint(checkpoint), comm, CHECKPOINT_SECONDS),
+            ),
+            resume=resume,
+        )
+
+    if comm.bcast(checkpoint.exists()):
+        try:
+            result = pull(checkpoint)
+        except (ValueError, OSError) as error:
+            logger.warning("%s; the test starts anew", error)
+            result = pull(None)
+    else:
+        result = pull(None)
     if root:
         _write_result(out, result)
         _write_picture(out, mesh, damage, result)
+        checkpoint.unlink(missing_ok=True)
+
+
+class _Seldom:
+    """Observer that hands on to another one when `seconds` have passed since it last did."""
+
+    def __init__(self, observer: Callable, comm: object, seconds: float) -> None:
+        self.observer, self.comm, self.seconds = observer, comm, seconds
+        self.last = time.monotonic()
+
+    def __call__(self, increment: object) -> None:
+        """Collective: the clock of rank 0 counts."""
+        if self.comm.bcast(time.monotonic() - self.last >= self.seconds):
+            self.observer(increment)
+            self.last = time.monotonic()
 
 
 def _orphaned() -> bool:
@@ -262,6 +307,7 @@ def _environment(ranks: int, workers: int) -> dict[str, str]:
 def _start(
     key: str, job: TensileJob, command_line: list[str], ranks: int, workers: int
 ) -> _Running:
+    _forget_others(job)
     path = job.write()
     with open(Path(job.out) / LOG_FILE, "w", encoding="utf-8") as log:
         process = subprocess.Popen(
@@ -273,6 +319,21 @@ def _start(
             start_new_session=True,
         )
     return _Running(job, key, process, time.monotonic())
+
+
+def _forget_others(job: TensileJob) -> None:
+    """Remove checkpoint and series that another job left in the folder of this one."""
+    out = Path(job.out)
+    try:
+        same = TensileJob.read(out / JOB_FILE) == job
+    except (OSError, ValueError, TypeError, KeyError):
+        same = False
+    checkpoint = out / CHECKPOINT_FILE
+    if not same:
+        checkpoint.unlink(missing_ok=True)
+    if not checkpoint.exists():
+        for path in (*out.glob("tensile_*.vtu"), out / "tensile.pvd"):
+            path.unlink(missing_ok=True)
 
 
 def _end(process: subprocess.Popen) -> None:

@@ -1,11 +1,15 @@
 """The scene: checked once, stored as JSON without loss, hashed stage by stage."""
 
+import argparse
 import dataclasses
 import json
+import re
 
 import pytest
 
+from pipeline.options import add_scene_options, scene_from_options
 from pipeline.scene import (
+    DAMAGE_UPDATES,
     OMITTABLE,
     AlloyScene,
     CorrosionParameters,
@@ -209,3 +213,43 @@ def test_the_names_of_what_a_march_may_leave_out_are_those_of_peri():
 
     assert OMITTABLE == planning.OMISSIONS
     assert CorrosionSettings().tolerance == planning.DEFAULT_TOLERANCE
+
+
+def test_the_ways_in_which_f_grows_are_those_of_fem():
+    from fem import settings
+
+    assert DAMAGE_UPDATES == settings.DAMAGE_UPDATES
+    assert TensileScene().damage == settings.TensileSettings().damage
+
+
+@pytest.mark.parametrize(
+    ("fields", "sentence"),
+    [
+        ({"damage": "nodal"}, "damage is 'nodal'; it must be one of cell, point, implicit"),
+        ({"damage_length": -1e-4}, "damage length is -0.0001; it must be at least 0"),
+        ({"damage_length": float("nan")}, "damage length is nan; it must be at least 0"),
+        (
+            {"damage": "point", "damage_length": 1e-4},
+            "damage is point; it must be cell where a damage length is given",
+        ),
+    ],
+)
+def test_a_growth_of_f_that_cannot_be_computed_is_refused(fields, sentence):
+    with pytest.raises(SceneError, match=re.escape(sentence)):
+        TensileScene(**fields)
+
+
+def test_a_scene_of_an_earlier_version_has_the_default_growth_of_f(scene):
+    content = scene.to_json()
+    del content["tensile"]["damage"], content["tensile"]["damage_length"]
+    assert scene_from_json(content) == scene
+
+
+def test_the_growth_of_f_comes_from_the_command_line():
+    parser = argparse.ArgumentParser()
+    add_scene_options(parser)
+    words = "--alloy Mg-5Gd --immersion 8w --damage-length 100um --damage".split()
+    tensile = scene_from_options(parser.parse_args([*words, "cell"])).tensile
+    assert (tensile.damage, tensile.damage_length) == ("cell", pytest.approx(1e-4))
+    with pytest.raises(SceneError, match="damage is implicit; it must be cell"):
+        scene_from_options(parser.parse_args([*words, "implicit"]))

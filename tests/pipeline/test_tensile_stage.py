@@ -1,0 +1,101 @@
+"""A pull in its folder: what it writes, and how an interrupted one goes on."""
+
+import numpy as np
+import pytest
+
+from pipeline import tensile_stage
+from pipeline.map_stage import DAMAGE_FILE, write_damage
+from pipeline.mesh import TetrahedralMesh, write_mesh
+from pipeline.scene import MaterialParameters, TensileScene
+from pipeline.tensile_stage import (
+    CHECKPOINT_FILE,
+    RESULT_FILE,
+    TensileJob,
+    _forget_others,
+    read_result,
+    run_job,
+)
+from pipeline.units import parse_immersion_times
+from tests.fem.meshes import box
+
+
+@pytest.fixture
+def job(tmp_path) -> TensileJob:
+    points, cells = box((2, 2, 4), (1e-3, 1e-3, 2e-3))
+    write_mesh(TetrahedralMesh(points, cells, {}), tmp_path)
+    middle = points[cells].mean(axis=1)
+    f0 = np.where(middle[:, 2] > 1e-3, 0.2, 0.05)[:, None]
+    write_damage(tmp_path / DAMAGE_FILE, f0, parse_immersion_times(["8w"])[0], "P1-Fbar")
+    return TensileJob(
+        str(tmp_path), str(tmp_path), str(tmp_path),
+        MaterialParameters(43e9, 0.3, 130e6, 120e6, 10.0),
+        TensileScene("P1-Fbar", final_strain=0.03),
+    )  # fmt: skip
+
+
+def test_a_pull_leaves_its_curve_and_its_paraview_series(job, tmp_path):
+    run_job(job)
+    found = read_result(tmp_path)
+    assert found["status"] == "completed" and found["peak_force"] > 50
+    series = (tmp_path / "tensile.pvd").read_text()
+    assert series.count("<DataSet") == found["increments"] // tensile_stage.SERIES_EVERY > 0
+    assert all(name in series for name in (p.name for p in tmp_path.glob("tensile_*.vtu")))
+    assert not (tmp_path / CHECKPOINT_FILE).exists()
+
+
+def test_an_interrupted_pull_goes_on_where_it_was(job, tmp_path, monkeypatch):
+    run_job(job)
+    whole = read_result(tmp_path)
+    curve = np.loadtxt(tmp_path / "tensile.csv", delimiter=",", skiprows=1)
+    (tmp_path / RESULT_FILE).unlink()
+    monkeypatch.setattr(tensile_stage, "CHECKPOINT_SECONDS", 0.0)
+    heard = []
+
+    def stop_half_way(path, text):
+        heard.append(float(text))
+        if len(heard) == 4:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(tensile_stage, "write_text", stop_half_way)
+    with pytest.raises(KeyboardInterrupt):
+        run_job(job)
+    assert (tmp_path / CHECKPOINT_FILE).exists()
+    monkeypatch.undo()
+    first = []
+    keep = tensile_stage.write_text
+
+    def listen(path, text):
+        if path.name == tensile_stage.PROGRESS_FILE:
+            first.append(float(text))
+        keep(path, text)
+
+    monkeypatch.setattr(tensile_stage, "write_text", listen)
+    run_job(job)
+    assert first[0] == pytest.approx(heard[3])  # not from the beginning
+    resumed = read_result(tmp_path)
+    # Measured 2e-8: the preconditioner is another one, the solutions agree to their tolerance.
+    assert resumed["peak_force"] == pytest.approx(whole["peak_force"], rel=1e-6)
+    again = np.loadtxt(tmp_path / "tensile.csv", delimiter=",", skiprows=1)
+    print(abs(again[1:, :3] / curve[1:, :3] - 1).max(axis=0))
+    assert again[:, :3] == pytest.approx(curve[:, :3], rel=1e-4)
+    assert not (tmp_path / CHECKPOINT_FILE).exists()
+
+
+def test_a_checkpoint_that_is_none_starts_the_pull_anew(job, tmp_path):
+    (tmp_path / CHECKPOINT_FILE).write_bytes(b"torn")
+    run_job(job)
+    assert read_result(tmp_path)["status"] == "completed"
+
+
+def test_what_another_job_left_is_removed_and_what_this_one_left_is_kept(job, tmp_path):
+    left = [tmp_path / CHECKPOINT_FILE, tmp_path / "tensile_0004.vtu", tmp_path / "tensile.pvd"]
+    for path in left:
+        path.write_text("old")
+    job.write()
+    _forget_others(job)
+    assert all(path.exists() for path in left)
+    other = TensileJob(
+        job.geometry, job.damage, job.out, job.material, TensileScene("P1-Fbar", increment=0.001)
+    )
+    _forget_others(other)
+    assert not any(path.exists() for path in left)
