@@ -328,7 +328,7 @@ def _tensile_departures(test: TensileScene) -> list[Omission]:
         found.append(
             Omission(
                 "growth of f within an increment",
-                f"f is one per {each} and grows between increments (--damage implicit: within them)",
+                f"f is one per {each} and grows between increments (within: --damage implicit)",
                 "part of the error of the increment (perilife study tensile)",
             )
         )

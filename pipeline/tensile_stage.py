@@ -36,6 +36,8 @@ CHECKPOINT_SECONDS = 30.0
 SERIES_EVERY = 4
 """Increments from one file of the ParaView series to the next."""
 
+_ORDER = ("force", "iterations", "halvings", "work", "stored", "dissipated")
+
 logger = logging.getLogger(__name__)
 
 
@@ -175,7 +177,9 @@ def _write_result(out: Path, result: object) -> None:
     columns = {"elongation": strain, "displacement_m": history["elongation"]}
     units = {"force": "force_N", "work": "work_J", "stored": "stored_J"}
     units |= {"dissipated": "dissipated_J", "seconds": "seconds_s"}
-    columns |= {units.get(k, k): v for k, v in history.items() if k != "elongation"}
+    # a resumed test has its quantities in another order; the file has not
+    names = sorted(history, key=lambda k: (_ORDER.index(k) if k in _ORDER else len(_ORDER), k))
+    columns |= {units.get(k, k): history[k] for k in names if k != "elongation"}
     lines = [",".join(columns)]
     for row in zip(*columns.values(), strict=True):
         lines.append(",".join(f"{value:.10g}" for value in row))
