@@ -26,6 +26,9 @@ class TimeStepping:
     step : float, optional
         Fixed step, s (shortened evenly so that output times are hit).  Without it the step is
         controlled so that the metal's loss rate changes by about `rate_change` within a step.
+        An explicit step follows its stability limit (no metal node loses more than `rate_change`
+        of what it has); a fixed one above the limit is refused, also when dissolving nodes lower
+        the limit during the march.
     rate_change : float
         Target of the control, relative; the error of a first-order step relative to what the
         step dissolves is about this, that of the second-order one about its square.

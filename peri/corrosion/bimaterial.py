@@ -142,7 +142,7 @@ class BiMaterial:
         self.free = liquid & ~self.fixed
         self.liquid_volume = np.where(liquid, self.capacity, 0.0)
         self.neighbour_liquid = self.sum(self.liquid_volume)
-        self._system = None
+        self._system = self._rates = None
         if self.box is not None:
             self.box_metal = self.take(self.metal) > 0
             self.box_metal_volume = self.take(np.where(self.metal, self.capacity, 0.0))
@@ -189,15 +189,22 @@ class BiMaterial:
 
     def fastest_rate(self) -> float:
         """Largest row sum of the operator at zero volume loss, 1/s (bound of its spectrum / 2)."""
-        liquid = self.scene.liquid_diffusivity * self.neighbour_liquid
-        rate = float(liquid[self.free].max(initial=0.0))
-        if self.box is not None:
-            g = self.base_diffusivity * self.scene.kinetics.factor(0.0)
-            to_metal = np.where(self.box_free_volume > 0, self.box(self.box_metal_volume), 0.0)
-            both = to_metal * g + self.take(np.where(self.free, liquid, 0.0))
-            from_metal = np.where(self.box_metal, g * self.box(self.box_liquid_volume), 0.0)
-            rate = max(rate, float(both.max()), float(from_metal.max()))
-        return self.processes.largest(rate)
+        return max(self.fastest_rates())
+
+    def fastest_rates(self) -> tuple[float, float]:
+        """The same of free liquid and of metal apart; both may grow as nodes dissolve."""
+        if self._rates is None:
+            liquid = np.where(self.free, self.neighbour_liquid, 0.0)
+            rates, in_metal = liquid * self.scene.liquid_diffusivity, 0.0
+            if self.box is not None:
+                g = self.base_diffusivity * self.scene.kinetics.factor(0.0)
+                seen = np.where(self.box_free_volume > 0, self.box(self.box_metal_volume), 0.0)
+                rates[self.window] += (g * seen)[self.box.interior]
+                seen = self.box(self.box_liquid_volume)[self.box_metal]
+                in_metal = g * float(seen.max(initial=0.0))
+            largest = self.processes.largest
+            self._rates = largest(float(rates.max())), largest(in_metal)
+        return self._rates
 
     def metal_rates(self) -> np.ndarray:
         """lambda_i = D_int sum_{liquid j} w_ij c_j at zero loss, 1/s, on the lattice.

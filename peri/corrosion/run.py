@@ -104,8 +104,9 @@ def corrode(
     Raises
     ------
     ValueError
-        For bad times, a checkpoint of another march, an explicit step above its limit, or liquid
-        without saturation that a Faradaic flux fills beyond the metal's concentration.
+        For bad times, a checkpoint of another march, an explicit step above its limit (which
+        changes as nodes turn liquid; without `step` the march follows it), or liquid without
+        saturation that a Faradaic flux fills beyond the metal's concentration.
     """
     stepping = stepping or TimeStepping()
     times = _check_times(times)
@@ -125,7 +126,7 @@ def corrode(
         lambda: results.fingerprint(scene, times, stepping, solver_tolerance)
     )
     if stepping.scheme == "forward_euler":
-        _check_explicit_step(problem, stepping)
+        _explicit_step(problem, stepping)
     outputs: list[tuple[np.ndarray, np.ndarray, float]] = []
     if resume and checkpoint is not None and processes.from_root(Path(checkpoint).exists()):
         state = _restore(problem, Path(checkpoint), mark, outputs)
@@ -177,21 +178,29 @@ def _check_times(times) -> np.ndarray:
     return times
 
 
-def _check_explicit_step(problem: BiMaterial, stepping: TimeStepping) -> None:
+def _explicit_step(problem: BiMaterial, stepping: TimeStepping, now: float = 0.0) -> float:
+    """The explicit step for the present phases, s: the one given, which must be stable, or a limit.
+
+    The limit is that of stability and, for accuracy where all liquid is held and only the metal
+    limits the step, rate_change over the fastest metal rate.
+    """
     limit = 1.0 / max(problem.fastest_rate(), 1e-300)
-    if stepping.step is not None and stepping.step > limit:
+    if stepping.step is None:
+        return min(limit, stepping.rate_change / max(problem.fastest_rates()[1], 1e-300))
+    if stepping.step > limit:
         raise ValueError(
-            f"step: {stepping.step} s exceeds the explicit stability limit of {limit:.4g} s; "
-            "shorten it or use an implicit scheme"
+            f"step: {stepping.step} s exceeds the explicit stability limit of {limit:.4g} s "
+            f"at {now:.4g} s; shorten it, leave it out, or use an implicit scheme"
         )
+    return stepping.step
 
 
 def _initial(problem: BiMaterial, stepping: TimeStepping, times) -> _State:
     concentration = problem.initial_concentration.copy()
-    if stepping.step is not None:
+    if stepping.scheme == "forward_euler":
+        step = _explicit_step(problem, stepping)
+    elif stepping.step is not None:
         step = stepping.step
-    elif stepping.scheme == "forward_euler":
-        step = 1.0 / max(problem.fastest_rate(), 1e-300)
     elif stepping.first_step is not None:
         step = stepping.first_step
     else:
@@ -208,6 +217,8 @@ def _advance(problem: BiMaterial, state: _State, stepping: TimeStepping, target:
     """One accepted step, in place."""
     problem.forget()  # so that a step depends on the state alone, and a resumed march is the same
     rejected = math.inf
+    if stepping.scheme == "forward_euler":  # its limit changes when nodes turn liquid
+        state.step = _explicit_step(problem, stepping, state.time)
     while True:
         step = step_towards(state.time, target, state.step)
         try:
