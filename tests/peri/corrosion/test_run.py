@@ -364,7 +364,7 @@ def test_explicit_step_follows_its_limit_as_nodes_dissolve():
     problem.update_phase()
     assert dissolved[-1] == 0 and steps[-1] <= 1.0 / problem.fastest_rate()
     reference = corrode(scene, times, TimeStepping("sdirk2", rate_change=0.01))
-    # measured 0.0019 and 0.0012 of V_L = 45 and 59 %, from the steps before the first node dissolves
+    # measured 0.0019 and 0.0012 of V_L = 45 and 59 %, from the steps before a node dissolves
     np.testing.assert_allclose(result.volume_loss, reference.volume_loss, rtol=0.005)
 
 
