@@ -295,6 +295,21 @@ def multiply(row_start, columns, values, vector, result):
 
 
 @njit(cache=True, nogil=True)
+def multiply_transposed(row_start, columns, values, vector, result):
+    """result += K^T vector over the owned rows; vector (n, 3), mostly zero, result (n, 3)."""
+    for row in range(row_start.size - 1):
+        start, blocks = row_start[row], row_start[row + 1] - row_start[row]
+        for i in range(3):
+            if vector[row, i] == 0.0:
+                continue
+            at = 9 * start + i * 3 * blocks
+            for block in range(blocks):
+                node = columns[start + block]
+                for k in range(3):
+                    result[node, k] += values[at + 3 * block + k] * vector[row, i]
+
+
+@njit(cache=True, nogil=True)
 def constrain(row_start, columns, values, fixed, scale):
     """Replace rows and columns of fixed unknowns (n, 3 bool) by `scale` on the diagonal."""
     for row in range(row_start.size - 1):

@@ -8,14 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from mpi4py import MPI
 
-from fem.assembly import Assembled, Assembler, constrain, multiply
+from fem.assembly import Assembled, Assembler, constrain, multiply, multiply_transposed
 from fem.constitutive.gurson import STIFFENING
+from fem.loading import MovingGrip
 from fem.quadrature_state import QuadratureState
 from fem.solvers import LinearSolver
 
 log = logging.getLogger(__name__)
 _TRIALS = 8  # of the line search
 _FIRST_SHARE, _LARGEST_SHARE = 0.01, 0.3  # of the elastic tangent
+_RESPONSE_TOLERANCE = 1e-4  # of the response to a translation of the grip
 _ENOUGH = 0.5  # a step is long enough once the force along it has fallen to this share
 
 
@@ -25,7 +27,7 @@ class Equilibrium:
 
     converged: bool
     iterations: int
-    force: float  # sum of the axial forces in the top grip [N]
+    reaction: float  # of the top grip: force [N], torque or moment [N m]
     stored: float
     dissipated: float
     reason: str = ""
@@ -41,34 +43,40 @@ class EquilibriumSolver:
         linear: LinearSolver,
         state: QuadratureState,
         fixed: np.ndarray,
-        top: np.ndarray,
+        grip: MovingGrip,
         tolerance: float,
         maximum_iterations: int,
     ) -> None:
-        """fixed (n, 3): unknowns with prescribed values; top (n,): nodes of the moving grip."""
+        """fixed (n, 3) bool: unknowns with prescribed values, those of the moving grip included."""
         self.comm, self.assembler, self.linear, self.state = comm, assembler, linear, state
-        self.fixed, self.top = fixed, top
+        self.fixed, self.grip = fixed, grip
+        self._translations = grip.translations()
+        self._direction = grip.derivative(0.0)  # that the reaction belongs to
         self.tolerance, self.maximum_iterations = tolerance, maximum_iterations
         self.reference = 0.0  # largest reaction at equilibrium so far [N]
-        self.reaction = 0.0  # reaction of the last assembly [N]
+        self.reaction = 0.0  # norm of the nodal reactions of the last assembly [N]
 
     def _sum(self, *values: float) -> np.ndarray:
         return self.comm.allreduce(np.array(values, float))
 
     def _assemble(self, displacement: np.ndarray) -> tuple[Assembled, float, float, float]:
-        """Assembled quantities, number of failed points, residual norm, force of the top grip."""
+        """Assembled quantities, number of failed points, residual norm, reaction of the grip.
+
+        To the residual of the free nodes that of a floating grip is added, its total force.
+        """
         result = self.assembler.assemble(displacement, self.state)
         owned = self.assembler.discretisation.owned_nodes
         force, fixed = result.force[:owned], self.fixed[:owned]
         free = np.where(fixed, 0.0, force)
-        failed, square, reaction, axial = self._sum(
+        failed, square, reaction, conjugate, *total = self._sum(
             result.failed,
             float((free**2).sum()),
             float((np.where(fixed, force, 0.0) ** 2).sum()),
-            float(force[self.top[:owned], 2].sum()),
+            float((force * self._direction[:owned]).sum()),
+            *np.tensordot(self._translations[:, :owned], force),
         )
         self.reaction = np.sqrt(reaction)
-        return result, failed, np.sqrt(square), axial
+        return result, failed, np.sqrt(square + np.dot(total, total)), conjugate
 
     def _correction(
         self, result: Assembled, prescribed: np.ndarray | None, tolerance: float
@@ -81,6 +89,7 @@ class EquilibriumSolver:
             multiply(d.row_start, d.columns, result.values, prescribed, product)
             right -= product
         right[self.fixed[: d.owned_nodes]] = 0.0
+        floating = self._floating_rows(result)
         diagonal = float(np.abs(result.values).max()) if result.values.size else 0.0
         scale = self.comm.allreduce(diagonal, MPI.MAX)
         constrain(d.row_start, d.columns, result.values, self.fixed, scale)
@@ -88,12 +97,50 @@ class EquilibriumSolver:
         step = self.linear.solve(right, tolerance)
         if step is not None and prescribed is not None:
             step = np.where(self.fixed, prescribed, step)
+        if step is not None and len(self._translations):
+            step = self._float(step, *floating, tolerance)
         return step
 
+    def _floating_rows(self, result: Assembled) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What `_float` needs of the unconstrained stiffness K and the force, E the translations.
+
+        Total force E^T f (k,), sides -K E of the free unknowns (k, owned, 3), E^T K (k, n, 3).
+        """
+        d, count = self.assembler.discretisation, len(self._translations)
+        sides, rows = np.empty((count, d.owned_nodes, 3)), np.zeros((count, *self.fixed.shape))
+        for k, unit in enumerate(self._translations):
+            multiply(d.row_start, d.columns, result.values, unit, sides[k])
+            multiply_transposed(d.row_start, d.columns, result.values, unit, rows[k])
+        sides[:, self.fixed[: d.owned_nodes]] = 0.0
+        owned = self._translations[:, : d.owned_nodes]
+        return np.tensordot(owned, result.force[: d.owned_nodes]), -sides, rows
+
+    def _float(
+        self, step: np.ndarray, total: np.ndarray, sides: np.ndarray, rows: np.ndarray,
+        tolerance: float,
+    ) -> np.ndarray | None:  # fmt: skip
+        """Add the translation of the grip that makes the linearised total force vanish.
+
+        One solution per direction with the matrix at hand, then a system of their number.
+        """
+        responses = []
+        for side, unit in zip(sides, self._translations, strict=True):
+            response = self.linear.solve(side, min(_RESPONSE_TOLERANCE, tolerance))
+            if response is None:
+                return None
+            responses.append(np.where(self.grip.held, unit, response))
+        reduced = np.array([[float((row * z).sum()) for z in responses] for row in rows])
+        right = total + np.tensordot(rows, step)
+        reduced, right = self.comm.allreduce(reduced), self.comm.allreduce(right)
+        return step - np.tensordot(np.linalg.solve(reduced, right), responses, axes=1)
+
     def _along(self, force: np.ndarray, step: np.ndarray) -> float:
-        """Force of the free unknowns along a step [J]."""
+        """Force of the free unknowns, a floating grip's translation included, along a step [J]."""
         owned = self.assembler.discretisation.owned_nodes
-        free = np.where(self.fixed[:owned], 0.0, force[:owned])
+        still = self.fixed[:owned]
+        if len(self._translations):
+            still = still & ~self.grip.held[:owned]
+        free = np.where(still, 0.0, force[:owned])
         return float(self._sum(float((free * step[:owned]).sum()))[0])
 
     def _search(
@@ -135,17 +182,19 @@ class EquilibriumSolver:
             material[STIFFENING] = 0.25 * share if share > _FIRST_SHARE else 0.0
         return material[STIFFENING] > share
 
-    def predict(self, displacement: np.ndarray, prescribed: np.ndarray) -> np.ndarray | None:
-        """Displacement after a change of the fixed unknowns, by the tangent at the old state."""
+    def predict(self, displacement: np.ndarray, amount: float, change: float) -> np.ndarray | None:
+        """Displacement after a change of the grip's amount, by the tangent at the old state."""
         result, failed, _, _ = self._assemble(displacement)
         if failed:
             return None
-        step = self._correction(result, prescribed, 1e-4)
+        step = self._correction(result, change * self.grip.derivative(amount), 1e-4)
         return None if step is None else displacement + step
 
-    def solve(self, displacement: np.ndarray) -> tuple[Equilibrium, np.ndarray]:
-        """Iterate from a predicted displacement (fixed unknowns already in place)."""
-        result, failed, norm, axial = self._assemble(displacement)
+    def solve(self, displacement: np.ndarray, amount: float) -> tuple[Equilibrium, np.ndarray]:
+        """Iterate from a predicted displacement; the grip is put where `amount` has it."""
+        displacement = self.grip.place(displacement, amount)
+        self._direction = self.grip.derivative(amount)
+        result, failed, norm, conjugate = self._assemble(displacement)
         if failed:
             return Equilibrium(
                 False, 0, 0.0, 0.0, 0.0, "inverted cell in the prediction"
@@ -159,7 +208,7 @@ class EquilibriumSolver:
             if norm <= limit:
                 self.reference = scale
                 stored, dissipated = self._sum(result.stored, result.dissipated)
-                return Equilibrium(True, iteration, axial, stored, dissipated), displacement
+                return Equilibrium(True, iteration, conjugate, stored, dissipated), displacement
             if iteration == self.maximum_iterations:
                 break
             if iteration >= 4 and norm > 10.0 * first:
@@ -170,12 +219,14 @@ class EquilibriumSolver:
             if step is None:
                 return Equilibrium(False, iteration, 0, 0, 0, "linear solver failed"), displacement
             along = self._along(result.force, step)
-            factor, (result, failed, norm, axial) = self._search(displacement, step, along, norm)
+            factor, (result, failed, norm, conjugate) = self._search(
+                displacement, step, along, norm
+            )
             if failed:
                 return Equilibrium(False, iteration, 0, 0, 0, "inverted cell"), displacement
             displacement = displacement + factor * step
             if self._stiffen(factor):
-                result, failed, norm, axial = self._assemble(displacement)
+                result, failed, norm, conjugate = self._assemble(displacement)
         return (
             Equilibrium(False, self.maximum_iterations, 0, 0, 0, "no convergence"),
             displacement,

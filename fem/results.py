@@ -36,9 +36,9 @@ class Increment:
     displacement: np.ndarray  # (n, 3) of the local nodes [m]
     previous: np.ndarray | None  # (n, 3) growth in the last increment [m], the next prediction
     previous_size: float  # strain of the last increment
-    strain: float  # elongation over length
+    strain: float  # elongation over length, or the nominal one of the surface
     size: float  # strain of the next increment
-    peak: float  # largest force so far [N]
+    peak: float  # largest reaction so far [N or N m]
     work: float  # of the grips [J]
     dissipated: float  # [J]
     rows: list[dict[str, float]]  # the history up to here, see TensileResult.history
@@ -49,9 +49,9 @@ class Increment:
         return len(self.rows) - 1
 
     @property
-    def force(self) -> float:
-        """Axial force in the top grip [N]."""
-        return self.rows[-1]["force"]
+    def reaction(self) -> float:
+        """Force [N], torque or moment [N m] of the top grip."""
+        return self.rows[-1][self.test.load.reaction]
 
     @property
     def fields(self) -> Fields:
@@ -184,7 +184,7 @@ def restore(test: Any, path: str | Path) -> tuple:
 
     Returns (displacement, previous, previous_size, strain, size, peak, work, dissipated, rows) as
     in `Increment`. Raises FileNotFoundError, or ValueError if the file is no checkpoint of this
-    mesh, damage, material, element and grips.
+    mesh, damage, material, element, grips and load.
     """
     content, error = None, None
     if test.comm.rank == 0:
@@ -221,7 +221,8 @@ def _read(test, path: Path) -> tuple:
     with h5py.File(path, "r") as file:
         if file.attrs.get("fingerprint") != _fingerprint(test):
             raise ValueError(
-                f"checkpoint {path} belongs to another mesh, damage, material, element or grips"
+                f"checkpoint {path} belongs to another mesh, damage, material, element, grips "
+                "or load"
             )
         march = json.loads(file.attrs["march"])
         history = {name: values[()] for name, values in file["history"].items()}
@@ -231,7 +232,7 @@ def _read(test, path: Path) -> tuple:
         numbers = np.searchsorted(test.prepared.kept, file["cells/number"][()])
     rows = [
         {name: float(values[i]) for name, values in history.items()}
-        for i in range(len(history["force"]))
+        for i in range(len(history["iterations"]))
     ]
     return march, rows, (ends, motion), (numbers, fields)
 
@@ -274,5 +275,5 @@ def _fingerprint(test) -> str:
     for array in (prepared.points, prepared.cells, prepared.damage):
         digest.update(np.ascontiguousarray(array).tobytes())
     settings = test.settings
-    digest.update(repr((test.material, settings.element, settings.grips)).encode())
+    digest.update(repr((test.material, settings.element, settings.grips, test.load)).encode())
     return digest.hexdigest()

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from fem.loading import LOADS
 from fem.quadrature import find_element
 from fem.solid import Grips
 from fem.solvers import SOLVERS
@@ -16,6 +17,12 @@ DAMAGE_UPDATES = ("cell", "point", "implicit")
 @dataclass(frozen=True)
 class TensileSettings:
     """How the test is run. Strains are elongation over the length of the whole solid.
+
+    load: how the top grip moves: "axial" (the tensile test), "torsion" (it turns about z) or
+    "bending" (it turns about the lateral axis at the angle `bending_azimuth` [rad] from x; of two
+    directions the weaker one counts in a slotted or unevenly corroded solid). For these two, strain
+    is the nominal one of the surface, angle times radius over length (`fem.loading`), both grips
+    hold their nodes fully whatever `grips.lateral` says, and the peak is that of torque or moment.
 
     element: "P1", "P1-Fbar", "P2" or "P2-Fbar". The test ends at `maximum_strain`, or, unless
     `full_curve`, once the force has fallen by the fraction `peak_drop` below its peak. `tolerance`
@@ -40,6 +47,8 @@ class TensileSettings:
     linear_solver: str = "auto"
     damage: str = "cell"
     damage_length: float = 0.0
+    load: str = "axial"
+    bending_azimuth: float = 0.0
     grips: Grips = field(default_factory=Grips)
     threads: int | None = None
 
@@ -69,6 +78,12 @@ class TensileSettings:
             raise ValueError(
                 f"tensile linear_solver is {self.linear_solver!r}; allowed are {', '.join(SOLVERS)}"
             )
+        if self.load not in LOADS:
+            raise ValueError(f"tensile load is {self.load!r}; allowed are {', '.join(LOADS)}")
+        if not np.isfinite(self.bending_azimuth):
+            raise ValueError(
+                f"tensile bending_azimuth is {self.bending_azimuth}; it must be an angle in rad"
+            )
         if self.damage not in DAMAGE_UPDATES:
             raise ValueError(
                 f"tensile damage is {self.damage!r}; allowed are {', '.join(DAMAGE_UPDATES)}"
@@ -83,3 +98,8 @@ class TensileSettings:
             )
         if self.threads is not None and self.threads < 1:
             raise ValueError(f"tensile threads is {self.threads}; it must be at least 1")
+
+    @property
+    def lateral_free(self) -> bool:
+        """Whether the grips let their nodes move laterally."""
+        return self.load == "axial" and self.grips.lateral == "free"

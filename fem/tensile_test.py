@@ -1,9 +1,9 @@
 """The tensile test: mesh, damage and material in, force-elongation curve and strength out.
 
 Axial displacement is prescribed on both grips (5.4 of the dissertation: zero at one end, growing to
-10 % of the length at the other), quasi-static, in adaptive increments. Departure from the source:
-implicit equilibrium instead of an explicit code; f grows between the increments, one per cell;
-cells at f_max are removed instead of kept.
+10 % of the length at the other), quasi-static, in adaptive increments; torsion and bending are
+options (`fem.loading`). Departure from the source: implicit equilibrium instead of an explicit
+code; f grows between the increments, one per cell; cells at f_max are removed instead of kept.
 """
 
 from __future__ import annotations
@@ -23,21 +23,18 @@ from fem.constitutive.gurson import LAGGED, LIMIT
 from fem.constitutive.material import Material
 from fem.damage_length import DamageLength
 from fem.discretisation import Discretisation, build
+from fem.loading import Load, MovingGrip
 from fem.newton import EquilibriumSolver
-from fem.patches import sound_patches
+from fem.preparation import prepare
 from fem.quadrature import Element, find_element
 from fem.quadrature_state import QuadratureState
 from fem.results import Increment, restore
 from fem.settings import TensileSettings
-from fem.solid import Held, Remains, destinations, guide_vertices, remains
+from fem.solid import remains
 from fem.solvers import LinearSolver
 
 log = logging.getLogger(__name__)
 
-# f up to which plastic flow is nearly isochoric, so that four-node cells lock. With 0.1 the patches
-# hold cells of too different pressures: after 24 weeks stored and dissipated energy are 13 % more
-# than the work of the grips; with 0.02 they are 0.1 % more.
-_SOUND = 0.02
 _EASY, _HARD = 5, 8  # Newton iterations below which increments grow, above which they shrink
 
 
@@ -45,16 +42,20 @@ _EASY, _HARD = 5, 8  # Newton iterations below which increments grow, above whic
 class TensileResult:
     """Outcome of a test, the same on every rank.
 
-    status: "past_peak" (the force fell by `peak_drop`), "completed" (to the full strain),
+    The curve is motion against reaction: elongation [m] and force [N] of an axial test, angle [rad]
+    and torque or moment [N m] otherwise; `history` has both under these names, and the properties
+    of that name raise AttributeError for another load. Nominal strain is motion over `extent`.
+    status: "past_peak" (the reaction fell by `peak_drop`), "completed" (to the full strain),
     "severed", "fully_corroded" (no test was possible: force 0), or "stopped: ..." with the reason
     why the curve ends early. history: one array per quantity, one entry per point of the curve.
     """
 
-    elongation: np.ndarray  # [m]
-    force: np.ndarray  # [N]
+    motion: np.ndarray  # [m or rad]
+    reaction: np.ndarray  # [N or N m]
+    load: Load
     length: float  # of the solid [m]
-    peak_force: float  # [N]
-    elongation_at_peak: float  # [m]
+    peak_reaction: float  # [N or N m]
+    motion_at_peak: float  # [m or rad]
     status: str
     cells: int = 0
     dead_cells: int = 0  # removed before the test: f at its limit at every point
@@ -64,6 +65,21 @@ class TensileResult:
     history: dict[str, np.ndarray] = field(default_factory=dict)
     cost: dict[str, float] = field(default_factory=dict)
     displacement: np.ndarray | None = None  # (n, 3) of the input's vertices at the end [m], rank 0
+
+    def __getattr__(self, name: str) -> np.ndarray | float:
+        """The curve and its peak by the names that they have for this load."""
+        if name.startswith("_") or "load" not in vars(self):
+            raise AttributeError(name)
+        motion, reaction = self.load.motion, self.load.reaction
+        names = {
+            motion: self.motion,
+            reaction: self.reaction,
+            f"{motion}_at_peak": self.motion_at_peak,
+            f"peak_{reaction}": self.peak_reaction,
+        }
+        if name not in names:
+            raise AttributeError(f"the result has no {name}; this test has {motion} and {reaction}")
+        return names[name]
 
 
 Progress = Callable[[float, str], None]
@@ -80,7 +96,7 @@ def tensile_test(
     observers: Sequence[Callable[[Increment], None]] = (),
     resume: str | os.PathLike | None = None,
 ) -> TensileResult:
-    """Pull a solid and return its force-elongation curve.
+    """Pull (or twist, or bend) a solid and return its force-elongation curve.
 
     Parameters
     ----------
@@ -96,7 +112,7 @@ def tensile_test(
     error, prepared = None, None
     if comm.rank == 0:
         try:
-            prepared = _prepare(points, cells, f0, material, settings, element, comm.size)
+            prepared = prepare(points, cells, f0, material, settings, element, comm.size)
         except ValueError as problem:
             error = str(problem)
     error = comm.bcast(error)
@@ -111,84 +127,12 @@ def tensile_test(
             else "severed"
         )
         return TensileResult(
-            zero, zero.copy(), summary["held"].length, 0.0, 0.0, status, **summary["counts"]
-        )
+            zero, zero.copy(), summary["load"], summary["held"].length, 0.0, 0.0, status,
+            **summary["counts"],
+        )  # fmt: skip
     return _Test(comm, prepared, summary, material, settings, element).run(
         progress, observers, resume
     )
-
-
-@dataclass
-class _Prepared:
-    """What rank 0 knows of the input."""
-
-    points: np.ndarray
-    cells: np.ndarray
-    damage: np.ndarray
-    held: Held
-    left: Remains
-    guides: list[tuple[int, int]]
-    plan: tuple[np.ndarray, np.ndarray]
-    kept: np.ndarray  # original numbers of the kept cells
-    groups: np.ndarray  # patch of each kept cell
-
-    def summary(self) -> dict:
-        """The small part that every rank needs."""
-        counts = {
-            "cells": len(self.cells),
-            "dead_cells": self.left.dead,
-            "loose_cells": self.left.loose_cells,
-            "loose_pieces": self.left.loose_pieces,
-        }
-        return {
-            "severed": self.left.severed,
-            "held": self.held,
-            "guides": self.guides,
-            "counts": counts,
-        }
-
-
-def _prepare(points, cells, f0, material, settings, element, ranks) -> _Prepared:
-    points = np.ascontiguousarray(points, float)
-    cells = np.ascontiguousarray(cells, np.int64)
-    if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
-        raise ValueError(
-            f"points have shape {points.shape}; finite (n, 3) coordinates in m are needed"
-        )
-    if cells.ndim != 2 or cells.shape[1] != 4 or not len(cells):
-        raise ValueError(f"cells have shape {cells.shape}; (nc, 4) vertex numbers are needed")
-    if cells.min() < 0 or cells.max() >= len(points):
-        raise ValueError(f"cells name vertex {cells.max()}; there are {len(points)}")
-    damage = np.asarray(f0, float)
-    shape = (len(cells), element.points)
-    if damage.shape == (len(cells),):
-        damage = damage[:, None]
-    if damage.shape not in ((), (len(cells), 1), shape):
-        raise ValueError(f"f0 has shape {damage.shape}; element {element.name} needs {shape}")
-    damage = np.array(np.broadcast_to(damage, shape))
-    limit = material.maximum_damage
-    if not (np.isfinite(damage).all() and damage.min() >= 0 and damage.max() <= limit * (1 + 1e-9)):
-        raise ValueError(
-            f"f0 runs from {damage.min()} to {damage.max()}; it must lie in [0, 1/q1 = {limit:.6g}]"
-        )
-    if settings.damage == "cell":
-        damage[:] = (damage @ element.weights / element.weights.sum())[:, None]
-    held = Held.of(points, settings.grips)
-    parameters = material.parameters()
-    alive = ~(damage >= parameters[LIMIT]).all(axis=1)
-    bottom, top = held.at_bottom(points), held.at_top(points)
-    left = remains(cells, alive, bottom, top)
-    guides: list[tuple[int, int]] = []
-    if not left.severed and settings.grips.lateral == "free":
-        guides = guide_vertices(points, cells, left.pieces, bottom)
-    kept = np.flatnonzero(left.kept)
-    groups, plan = np.arange(len(kept)), (np.zeros(0), np.zeros(1))
-    if len(kept):
-        if element.patches:
-            groups = sound_patches(cells[kept], len(points), damage[kept].mean(axis=1) < _SOUND)
-        plan = destinations(points, cells[kept], groups, ranks)
-    damage = np.minimum(damage, parameters[LIMIT])
-    return _Prepared(points, cells, damage, held, left, guides, plan, kept, groups)
 
 
 class _Test:
@@ -218,11 +162,12 @@ class _Test:
         )
         self.state = QuadratureState(damage)
         self.limit = material.parameters()[LIMIT]
-        self.top = self.held.at_top(local.coordinates)
-        self.fixed = self._fixed_unknowns()
+        self.load = summary["load"]
+        self.fixed, moved = self._fixed_unknowns()
+        self.grip = MovingGrip(comm, self.load, local.coordinates, moved, local.owned_nodes)
         self.linear = LinearSolver(comm, self.discretisation, settings.linear_solver)
         self.solver = EquilibriumSolver(
-            comm, self.assembler, self.linear, self.state, self.fixed, self.top,
+            comm, self.assembler, self.linear, self.state, self.fixed, self.grip,
             settings.tolerance, settings.maximum_iterations,
         )  # fmt: skip
         self.setup_seconds = time.perf_counter() - self.started
@@ -245,22 +190,22 @@ class _Test:
             parts = [everything[rows] for rows in wanted]
         return self.comm.scatter(parts)
 
-    def _fixed_unknowns(self) -> np.ndarray:
+    def _fixed_unknowns(self) -> tuple[np.ndarray, np.ndarray]:
+        """(n, 3) unknowns with prescribed values, and those of them that move with the top grip."""
         mesh = self.discretisation.mesh
-        bottom = self.held.at_bottom(mesh.coordinates)
-        fixed = np.zeros((len(mesh.coordinates), 3), bool)
-        fixed[bottom | self.top, 2] = True
-        if self.settings.grips.lateral == "clamped":
-            fixed[bottom | self.top] = True
+        lateral = not self.settings.lateral_free
+        held = np.array([lateral, lateral, True])
+        moved = self.held.at_top(mesh.coordinates)[:, None] & held
+        fixed = moved | (self.held.at_bottom(mesh.coordinates)[:, None] & held)
         vertices = self.comm.bcast(self.vertices if self.comm.rank == 0 else None)
         for vertex, direction in self.summary["guides"]:
             number = int(np.searchsorted(vertices, vertex))
             fixed[mesh.input_vertices == number, direction] = True
-        return fixed
+        return fixed, moved
 
     def run(self, progress: Progress | None, observers=(), resume=None) -> TensileResult:
         """March to the end of the test."""
-        s, length = self.settings, self.held.length
+        s, extent, reaction = self.settings, self.load.extent, self.load.reaction
         displacement = np.zeros_like(self.discretisation.coordinates)
         previous, previous_size = None, 0.0
         strain, size, status = 0.0, min(s.first_increment, s.maximum_strain), "completed"
@@ -289,19 +234,21 @@ class _Test:
             displacement = tried
             strain += size
             dissipated += self._advance()
-            work += 0.5 * (rows[-1]["force"] + outcome.force) * size * length
+            work += 0.5 * (rows[-1][reaction] + outcome.reaction) * size * extent
             dissipated += outcome.dissipated
             rows.append(
-                self._row(strain * length, outcome.force, outcome.iterations, halvings, work,
+                self._row(strain * extent, outcome.reaction, outcome.iterations, halvings, work,
                           outcome.stored, dissipated)
             )  # fmt: skip
             log.info(
-                "strain %.5f force %.5g N, %d iterations", strain, outcome.force, outcome.iterations
-            )
-            peak = max(peak, outcome.force)
+                "strain %.5f %s %.5g, %d iterations", strain, reaction, outcome.reaction,
+                outcome.iterations,
+            )  # fmt: skip
+            peak = max(peak, outcome.reaction)
             if progress is not None and self.comm.rank == 0:
                 progress(
-                    strain / s.maximum_strain, f"strain {strain:.4f}, force {outcome.force:.4g} N"
+                    strain / s.maximum_strain,
+                    f"strain {strain:.4f}, {reaction} {outcome.reaction:.4g} {self.load.unit}",
                 )
             if outcome.iterations <= _EASY and halvings == 0:
                 size = min(1.5 * size, s.maximum_increment)
@@ -318,9 +265,9 @@ class _Test:
             if removed:
                 if self._parted():
                     status = "past_peak"
-                    rows.append(self._row(strain * length, 0.0, 0, 0, work, 0.0, dissipated))
+                    rows.append(self._row(strain * extent, 0.0, 0, 0, work, 0.0, dissipated))
                     break
-            if not s.full_curve and outcome.force < (1.0 - s.peak_drop) * peak:
+            if not s.full_curve and outcome.reaction < (1.0 - s.peak_drop) * peak:
                 status = "past_peak"
                 break
         result = self._result(rows, status, displacement)
@@ -358,27 +305,25 @@ class _Test:
 
     def _increment(self, displacement, strain, size, previous, previous_size):
         """Predict and solve; returns (outcome or None, displacement)."""
-        prescribed = np.zeros_like(displacement)
-        prescribed[self.top, 2] = size * self.held.length
+        amount, change = strain * self.load.extent, size * self.load.extent
         if previous is not None:
             guess = displacement + previous * (size / previous_size)
-            guess[self.top, 2] = strain * self.held.length
-            outcome, tried = self.solver.solve(guess)
+            outcome, tried = self.solver.solve(guess, amount)
             if outcome.converged or outcome.reason != "inverted cell in the prediction":
                 return outcome, tried
-        guess = self.solver.predict(displacement, prescribed)
+        guess = self.solver.predict(displacement, amount - change, change)
         if guess is None:
             return None, displacement
-        return self.solver.solve(guess)
+        return self.solver.solve(guess, amount)
 
-    def _row(self, elongation, force, iterations, halvings, work, stored, dissipated):
+    def _row(self, motion, reaction, iterations, halvings, work, stored, dissipated):
         damage = self.state.old.damage
         largest = float(damage.max()) if damage.size else 0.0
         strain = self.state.old.strain
         plastic = float(strain.max()) if strain.size else 0.0
         return {
-            "elongation": elongation,
-            "force": force,
+            self.load.motion: motion,
+            self.load.reaction: reaction,
             "iterations": iterations,
             "halvings": halvings,
             "work": work,
@@ -424,7 +369,7 @@ class _Test:
 
     def _result(self, rows, status, displacement) -> TensileResult:
         history = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-        elongation, force = history["elongation"], history["force"]
+        motion, reaction = history[self.load.motion], history[self.load.reaction]
         statistics = self.linear.statistics
         cost = {
             "seconds": time.perf_counter() - self.started,
@@ -438,9 +383,9 @@ class _Test:
             "fallbacks": statistics.fallbacks,
             "unknowns": 3 * self.discretisation.mesh.total_nodes,
         }
-        at, peak = peak_of_curve(elongation, force)
+        at, peak = peak_of_curve(motion, reaction)
         return TensileResult(
-            elongation, force, self.held.length, peak, at, status,
+            motion, reaction, self.load, self.held.length, peak, at, status,
             lost_cells=self.lost_cells, history=history, cost=cost,
             displacement=self._gather_displacement(displacement), **self.summary["counts"],
         )  # fmt: skip

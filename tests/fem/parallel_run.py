@@ -1,4 +1,4 @@
-"""Run by test_parallel under mpirun: pulls a bar and writes the curve from rank 0."""
+"""Run by test_parallel under mpirun: pulls or turns a bar and writes the curve from rank 0."""
 
 import sys
 
@@ -10,16 +10,16 @@ from fem.tensile_test import TensileSettings, tensile_test
 from tests.fem.meshes import round_bar
 
 if __name__ == "__main__":
-    output, solver = sys.argv[1:]
+    output, solver, load = sys.argv[1:]
     points, cells = round_bar(3, 4, 1e-3, 4e-3, waist=0.3)
     f0 = np.random.default_rng(1).uniform(0, 0.3, (len(cells), 4))
     f0[:20] = 2 / 3
     if MPI.COMM_WORLD.rank:
         points = cells = f0 = None
     settings = TensileSettings(
-        maximum_strain=0.01, full_curve=True, tolerance=1e-8, linear_solver=solver
+        maximum_strain=0.01, full_curve=True, tolerance=1e-8, linear_solver=solver, load=load
     )
     material = Material(43e9, 0.3, VoceHardening(130e6, 156e6, 10.6))
     result = tensile_test(points, cells, f0, material, settings)
     if MPI.COMM_WORLD.rank == 0:
-        np.savez(output, elongation=result.elongation, force=result.force, dead=result.dead_cells)
+        np.savez(output, motion=result.motion, reaction=result.reaction, dead=result.dead_cells)

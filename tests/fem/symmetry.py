@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+import fem.preparation
 import fem.tensile_test as module
 
 
@@ -16,7 +17,7 @@ def hold_planes(monkeypatch, *planes) -> None:
     original = module._Test._fixed_unknowns
 
     def fixed_unknowns(self):
-        fixed = original(self)
+        fixed, moved = original(self)
         coordinates = self.discretisation.mesh.coordinates
         size = np.ptp(coordinates, axis=0).max()
         for axis, value in planes:
@@ -24,7 +25,7 @@ def hold_planes(monkeypatch, *planes) -> None:
             if value is not None:
                 here = abs(coordinates[:, axis] - value) < 1e-6 * size
             fixed[here, axis] = True
-        return fixed
+        return fixed, moved
 
-    monkeypatch.setattr(module, "guide_vertices", lambda *_: [])
+    monkeypatch.setattr(fem.preparation, "guide_vertices", lambda *_: [])
     monkeypatch.setattr(module._Test, "_fixed_unknowns", fixed_unknowns)
