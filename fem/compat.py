@@ -1,6 +1,7 @@
 """Every call that depends on the version of dolfinx.
 
-The rest of the package sees a `LocalMesh` of NumPy arrays. Tried with dolfinx 0.5.2 (Debian 12).
+The rest of the package sees a `LocalMesh` of NumPy arrays. Tried with dolfinx 0.5.2 (Debian
+12) and 0.9.0 (Debian 13, by `.ci/try-newer-dolfinx`); other versions are refused.
 """
 
 from __future__ import annotations
@@ -47,39 +48,21 @@ def distribute(
     points (n, 3) and cells (nc, 4) are read on rank 0 only. destinations: (ranks, offsets) of an
     adjacency list that names for each cell its owner first and then the ranks that ghost it.
     """
-    import dolfinx
-    import ufl
-    from dolfinx import cpp, graph
-
     if comm.rank == 0:
         ranks, offsets = destinations
-        plan = graph.create_adjacencylist(
-            np.asarray(ranks, np.int32), np.asarray(offsets, np.int32)
-        )
+        ranks, offsets = np.asarray(ranks, np.int32), np.asarray(offsets, np.int32)
+        plan = _adjacency(ranks, offsets)
         points = np.ascontiguousarray(points, float)
         cells = np.ascontiguousarray(cells, np.int64)
     else:
-        plan = graph.create_adjacencylist(np.zeros(0, np.int32), np.zeros(1, np.int32))
+        plan = _adjacency(np.zeros(0, np.int32), np.zeros(1, np.int32))
         points, cells = np.zeros((0, 3)), np.zeros((0, 4), np.int64)
-    domain = ufl.Mesh(ufl.VectorElement("Lagrange", "tetrahedron", 1))
-    geometry = cpp.fem.CoordinateElement(cpp.mesh.CellType.tetrahedron, 1)
-    bare = cpp.mesh.create_mesh(
-        comm,
-        cpp.graph.AdjacencyList_int64(cells),
-        geometry,
-        points,
-        cpp.mesh.GhostMode.shared_facet,
-        lambda *_: plan,
-    )
-    domain._ufl_cargo = bare
-    mesh = dolfinx.mesh.Mesh(bare, domain)
-    space = dolfinx.fem.VectorFunctionSpace(mesh, ("Lagrange", order))
-
+    mesh, space = _make(comm, points, cells, plan, order)
     cell_map = mesh.topology.index_map(3)
     local_cells = cell_map.size_local + cell_map.num_ghosts
     original = np.array(mesh.topology.original_cell_index, dtype=np.int64)[:local_cells]
-    dofmap = np.array(space.dofmap.list.array, dtype=np.int32).reshape(local_cells, -1)
-    corners = np.array(mesh.geometry.dofmap.array, dtype=np.int32).reshape(local_cells, 4)
+    dofmap = _rows(space.dofmap.list, local_cells)
+    corners = _rows(mesh.geometry.dofmap, local_cells)
     node_map = space.dofmap.index_map
     nodes = node_map.size_local + node_map.num_ghosts
     global_nodes = node_map.local_to_global(np.arange(nodes, dtype=np.int32))
@@ -97,3 +80,58 @@ def distribute(
         mesh=mesh,
         space=space,
     )
+
+
+def _rows(adjacency: Any, rows: int) -> np.ndarray:
+    """A dofmap as (rows, width) int32: an adjacency list up to 0.7, an array since 0.8."""
+    return np.array(getattr(adjacency, "array", adjacency), dtype=np.int32).reshape(rows, -1)
+
+
+def _adjacency(data: np.ndarray, offsets: np.ndarray) -> Any:
+    from dolfinx import graph
+
+    make = getattr(graph, "create_adjacencylist", None) or graph.adjacencylist  # renamed in 0.8
+    return make(data, offsets)
+
+
+def _make(comm: MPI.Comm, points: np.ndarray, cells: np.ndarray, plan: Any, order: int) -> tuple:
+    """Mesh with the cells where `plan` has them, and its Lagrange space of vectors."""
+    import dolfinx
+
+    version = tuple(int(part) for part in dolfinx.__version__.split(".")[:2])
+    if version == (0, 5):
+        return _make_0_5(comm, points, cells, plan, order)
+    if version == (0, 9):
+        return _make_0_9(comm, points, cells, plan, order)
+    raise ImportError(
+        f"dolfinx is {dolfinx.__version__}; fem/compat.py knows 0.5 (Debian 12) and 0.9 (Debian 13)"
+    )
+
+
+def _make_0_5(comm, points, cells, plan, order) -> tuple:
+    import dolfinx
+    import ufl
+    from dolfinx import cpp
+
+    domain = ufl.Mesh(ufl.VectorElement("Lagrange", "tetrahedron", 1))
+    geometry = cpp.fem.CoordinateElement(cpp.mesh.CellType.tetrahedron, 1)
+    bare = cpp.mesh.create_mesh(
+        comm,
+        cpp.graph.AdjacencyList_int64(cells),
+        geometry,
+        points,
+        cpp.mesh.GhostMode.shared_facet,
+        lambda *_: plan,
+    )
+    domain._ufl_cargo = bare
+    mesh = dolfinx.mesh.Mesh(bare, domain)
+    return mesh, dolfinx.fem.VectorFunctionSpace(mesh, ("Lagrange", order))
+
+
+def _make_0_9(comm, points, cells, plan, order) -> tuple:
+    import basix.ufl
+    import dolfinx
+
+    element = basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,))
+    mesh = dolfinx.mesh.create_mesh(comm, cells, points, element, lambda *_: plan)
+    return mesh, dolfinx.fem.functionspace(mesh, ("Lagrange", order, (3,)))
