@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from pipeline import bench_corrosion, machine
+from pipeline import bench_corrosion, bench_tensile, machine
 from pipeline.bench_result import Result
 from pipeline.progress import Progress
 
@@ -132,6 +132,16 @@ BENCHMARKS: dict[str, Benchmark] = {
         "explicit and implicit pitting on 128 x 128 x 64 nodes",
         bench_corrosion.pitting_step,
         bench_corrosion.small_pitting,
+    ),
+    "tensile": Benchmark(
+        "constitutive update, and one quick pull of the screw after 8 weeks (a minute)",
+        bench_tensile.tensile,
+        bench_tensile.small_tensile,
+    ),
+    "tensile-published": Benchmark(
+        "773,000 cells on two ranks, a few increments after 8 weeks (15 minutes)",
+        bench_tensile.published_tensile,
+        bench_tensile.small_published,
     ),
     "scaling": Benchmark(
         "cost and memory from 1e4 to 1e7 nodes, threads 1 and 2, ranks 1, 2 and 4",

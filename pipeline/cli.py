@@ -22,6 +22,8 @@ STUDIES = {
     "corrosion": "error of the volume loss against processor time, and the presets (15 min)",
     "rates": "what lattice and orientation do to the dissolution rate (seconds)",
     "saturation": "what the time step does to the two saturation models (5 min)",
+    "tensile": "error of peak force and strength left against processor time, presets (30 min)",
+    "life-cycle": "where the error of the strength left comes from, and what less of it costs",
 }
 
 
@@ -79,8 +81,17 @@ def build_parser() -> argparse.ArgumentParser:
     study.add_argument(
         "what", metavar="WHAT", help=f"{', '.join(STUDIES)} (what each finds: study list)"
     )
-    study.add_argument("--alloy", nargs="+", metavar="A", default=["Mg-5Gd", "Mg-10Gd"])
-    study.add_argument("--out", metavar="DIR", help="folder for the results of corrosion")
+    study.add_argument(
+        "--alloy",
+        nargs="+",
+        metavar="A",
+        help="corrosion: both Mg-Gd alloys; tensile and life-cycle: Mg-5Gd",
+    )
+    study.add_argument(
+        "--immersion", nargs="+", metavar="T", help="tensile: 4w 8w 24w; life-cycle: 8w"
+    )
+    study.add_argument("--long", action="store_true", help="tensile: finer meshes and increments")
+    study.add_argument("--out", metavar="DIR", help="folder for the results")
     return parser
 
 
@@ -307,6 +318,14 @@ def _study(options: argparse.Namespace) -> int:
 
         print_saturation()
         return 0
+    if options.what == "life-cycle":
+        from pipeline.study_life_cycle import print_study
+
+        print_study((options.alloy or ["Mg-5Gd"])[0], (options.immersion or ["8w"])[0])
+        return 0
+    if options.what == "tensile":
+        return _study_tensile(options)
+    options.alloy = options.alloy or ["Mg-5Gd", "Mg-10Gd"]
     if options.out is None:
         raise ValueError("study corrosion writes a table and a plot; say where with --out DIR")
     from pipeline.resolve import resolve_scene
@@ -321,6 +340,34 @@ def _study(options: argparse.Namespace) -> int:
     print()
     for line in study_results.summary_lines(study):
         print(line)
+    print("\n" + "\n".join(map(str, paths)))
+    return 0
+
+
+def _study_tensile(options: argparse.Namespace) -> int:
+    from pipeline import study_tensile, study_tensile_results
+    from pipeline.resolve import resolve_scene
+
+    if options.out is None:
+        raise ValueError("study tensile writes a table and a plot; say where with --out DIR")
+    alloys = options.alloy or ["Mg-5Gd"]
+    immersion = options.immersion or list(study_tensile.IMMERSION)
+    for alloy in alloys:
+        resolve_scene([alloy], [t for t in immersion if t != "0w"], "quick")
+    folder = Path(options.out)
+    folder.mkdir(parents=True, exist_ok=True)
+    study = study_tensile.study_tensile(
+        alloys,
+        immersion,
+        lambda line: print(line, flush=True),
+        options.long,
+        keep=folder / "tensile.csv",
+    )
+    given = f" --immersion {' '.join(options.immersion)}" if options.immersion else ""
+    given += " --long" if options.long else ""
+    command = f"perilife study tensile --alloy {' '.join(alloys)}{given} --out {options.out}"
+    paths = study_tensile_results.write_study(study, folder, command)
+    print("\n" + "\n".join(study_tensile_results.tables(study)))
     print("\n" + "\n".join(map(str, paths)))
     return 0
 

@@ -3,10 +3,16 @@
 import numpy as np
 
 from pipeline.plan import scene_omissions
-from pipeline.resolution import RESOLUTIONS, CorrosionError
+from pipeline.resolution import RESOLUTIONS, CorrosionError, TensileError
 from pipeline.resolve import DEFAULT_PARAMETER_SET
 from pipeline.run_results import ImmersionResult, RunResults, column
-from pipeline.scene import CorrosionSettings, DomainSettings, Scene, ScrewGeometry
+from pipeline.scene import (
+    CorrosionSettings,
+    DomainSettings,
+    Scene,
+    ScrewGeometry,
+    TensileScene,
+)
 from pipeline.units import format_seconds
 from pipeline.wording import duration, percent
 
@@ -109,15 +115,36 @@ def _volume_loss_error(run: RunResults) -> str:
     )
 
 
+def _tensile_error(scene: Scene) -> TensileError | None:
+    """What was measured of the preset's mesh and increment, if the scene uses just these."""
+    preset = RESOLUTIONS.get(scene.resolution)
+    if preset is None or (
+        (scene.mesh.size, scene.mesh.size_fine, scene.tensile.element, scene.tensile.increment)
+        != (preset.mesh_size, preset.mesh_size_fine, preset.element, preset.increment)
+    ):
+        return None
+    default = TensileScene()
+    names = ("damage", "damage_length", "final_strain", "lateral")
+    if any(getattr(scene.tensile, name) != getattr(default, name) for name in names):
+        return None
+    return preset.tensile_error
+
+
 def _strength_error(run: RunResults) -> str:
-    preset = RESOLUTIONS.get(run.scene.resolution)
-    error = preset.tensile_error if preset else None
-    if error is not None and "changed" not in settings_name(run.scene):
-        return f"The discretisation error of the strength left is about {percent(error, 1)}."
+    known = _tensile_error(run.scene)
+    if known is None:
+        return (
+            "The discretisation error of the strength left has not been measured for this mesh, "
+            "element and increment, only for those of the presets."
+        )
+    scene = run.scene
+    same = scene.geometry == ScrewGeometry() and all(a.name in known.alloys for a in scene.alloys)
+    where = "" if same else ", not here"
+    errors = ", ".join(f"{percent(error, 0)} up to {label}" for label, error in known.of_times())
     return (
-        f"The discretisation error of the resolution {settings_name(run.scene)}, in the strength "
-        "left, has not been measured yet. "
-        "Until it is, read the strengths as a comparison of alloys and times, not as a prediction."
+        f"The strength left is off by at most {errors} because mesh and increments of the tensile "
+        f"test are finite, measured on the reference screw of {' and '.join(known.alloys)}{where}; "
+        "what the error of the volume loss does to it comes on top."
     )
 
 
@@ -146,11 +173,12 @@ def in_short(run: RunResults, assumed: int) -> str:
     elif known is not None:
         most = max(known.of(alloy.name) for alloy in run.scene.alloys)
         error = f"discretisation error of the volume loss up to {percent(most, 1)}"
-        preset = RESOLUTIONS[run.scene.resolution]
-        if preset.tensile_error is None:
-            error += ", of the strength not measured yet"
+        tensile = _tensile_error(run.scene)
+        if tensile is None:
+            error += ", of the strength not measured for these settings"
         else:
-            error += f", of the strength about {percent(preset.tensile_error, 1)}"
+            errors = (f"{percent(e, 0)} up to {label}" for label, e in tensile.of_times())
+            error += f", of the strength left {', '.join(errors)}"
     values = "value is" if assumed == 1 else "values are"
     seconds = sum(record.seconds for _, record in run.records)
     cost = f" The run took {format_seconds(seconds)}." if seconds else ""

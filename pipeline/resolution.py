@@ -1,14 +1,18 @@
 """The resolution presets: the one place that says what quick, standard, fine mean.
 
-Lattice and time steps, with their measured errors, are read from presets.toml, which `perilife
-study corrosion` writes; mesh and element of the tensile test stand here.
+Each half, with its measured errors, is read from the table that its study writes: lattice and time
+steps from presets.toml (`perilife study corrosion`), mesh, element and increment of the tensile
+test from presets_tensile.toml (`perilife study tensile`).
 """
 
 import tomllib
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 PRESETS_FILE = Path(__file__).with_name("presets.toml")
+TENSILE_FILE = Path(__file__).with_name("presets_tensile.toml")
+NAMES = ("quick", "standard", "fine")
 
 
 @dataclass(frozen=True)
@@ -36,32 +40,28 @@ class CorrosionError:
 
 
 @dataclass(frozen=True)
-class TensilePreset:
-    """Edge length in the bulk and at thread and slot (m), element, largest nominal strain step.
+class TensileError:
+    """Error of the strength left of a preset, relative, as measured on the reference screw.
 
-    error: of the strength left, relative, None where it is not measured.
-
-    Intact screw gripped beyond the slot, force at 10 % strain against 448.4 N of P2 on 7,320
-    cells: P1-Fbar 2.3, 1.8, 0.9 % above it on 7,320, 12,067, 30,139 cells; P2 on 3,698 cells
-    0.2 % above it; P1 (as published) locks, 8 to 10 % above it.  Corroded for 2 and 4 weeks,
-    P1 on 7,320 cells keeps 0.86 and 0.81 of the intact force, P2 on 3,698 cells 0.76 and 0.64.
-    quick takes P1 all the same: it is the element that passes the peak of all twelve tests of
-    the reference run within minutes; P2 has not been shown to do so at 8 and 24 weeks, and
-    P1-Fbar found no equilibrium at 1.3 % strain after 4 weeks.
+    error: largest over alloys and immersion times, mesh and increment together; increment: of the
+    increment; after: of the mesh after each immersion time as typed, rising; alloys: those
+    measured; processor_seconds: of the longest test; command: what measured it.
     """
 
-    mesh_size: float
-    mesh_size_fine: float
-    element: str
+    error: float
     increment: float
-    error: float | None = None
+    after: dict[str, float]
+    alloys: tuple[str, ...]
+    processor_seconds: float
+    command: str
 
-
-TENSILE = {
-    "quick": TensilePreset(0.30e-3, 0.20e-3, "P1", 0.005),
-    "standard": TensilePreset(0.20e-3, 0.12e-3, "P2", 0.005),
-    "fine": TensilePreset(0.12e-3, 0.08e-3, "P2", 0.0025),
-}
+    def of_times(self) -> list[tuple[str, float]]:
+        """(immersion time, largest error up to it): mesh and increment together."""
+        found, most = [], 0.0
+        for label, error in self.after.items():
+            most = max(most, error)
+            found.append((label, most + self.increment))
+        return found
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,8 @@ class Resolution:
 
     spacing: lattice spacing; horizon: thickness of the corroded layer, a material length
     that stays the same in all presets; rate_change: what controls the time step
-    (peri.marching); the rest as in TensilePreset.
+    (peri.marching); mesh_size, mesh_size_fine: edge length in the bulk, and at thread and slot;
+    increment: largest nominal strain step of the tensile test.
     """
 
     spacing: float
@@ -81,36 +82,38 @@ class Resolution:
     element: str
     increment: float
     corrosion_error: CorrosionError
-    tensile_error: float | None = None
+    tensile_error: TensileError
 
 
-def read_presets(path: Path = PRESETS_FILE) -> dict[str, Resolution]:
-    """The presets, with lattice and time steps from a file that `perilife study corrosion` wrote.
+def read_presets(path: Path = PRESETS_FILE, tensile: Path = TENSILE_FILE) -> dict[str, Resolution]:
+    """The presets from the files that `perilife study corrosion` and `study tensile` wrote.
 
-    Raises ValueError where the file is not such a table.
+    Raises ValueError where a file is not such a table.
     """
+    corrosion_part = _read(path, "corrosion", _corrosion)
+    tensile_part = _read(tensile, "tensile", _tensile)
+    return {name: Resolution(**corrosion_part[name], **tensile_part[name]) for name in NAMES}
+
+
+def _read(path: Path, study: str, preset: Callable[[dict, str], dict]) -> dict[str, dict]:
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
-        return {name: _preset(table, name, tensile) for name, tensile in TENSILE.items()}
+        return {name: preset(table, name) for name in NAMES}
     except (tomllib.TOMLDecodeError, KeyError, TypeError) as error:
         raise ValueError(
-            f"the presets in '{path}' cannot be read ({error}); they must be the presets.toml "
-            "that `perilife study corrosion` writes"
+            f"the presets in '{path}' cannot be read ({error}); they must be the {path.name} "
+            f"that `perilife study {study}` writes"
         ) from None
 
 
-def _preset(table: dict, name: str, tensile: TensilePreset) -> Resolution:
+def _corrosion(table: dict, name: str) -> dict:
     entry = table[name]
     measured = entry["measured"]
-    return Resolution(
-        spacing=entry["horizon"] / entry["horizon_ratio"],
-        horizon=entry["horizon"],
-        rate_change=entry["rate_change"],
-        mesh_size=tensile.mesh_size,
-        mesh_size_fine=tensile.mesh_size_fine,
-        element=tensile.element,
-        increment=tensile.increment,
-        corrosion_error=CorrosionError(
+    return {
+        "spacing": entry["horizon"] / entry["horizon_ratio"],
+        "horizon": entry["horizon"],
+        "rate_change": entry["rate_change"],
+        "corrosion_error": CorrosionError(
             entry["error"],
             {alloy: numbers["time_error"] for alloy, numbers in measured.items()},
             {alloy: numbers["lattice_error"] for alloy, numbers in measured.items()},
@@ -118,8 +121,21 @@ def _preset(table: dict, name: str, tensile: TensilePreset) -> Resolution:
             entry["half_error_measured"],
             table["command"],
         ),
-        tensile_error=tensile.error,
+    }
+
+
+def _tensile(table: dict, name: str) -> dict:
+    entry = table[name]
+    numbers = {key: entry[key] for key in ("mesh_size", "mesh_size_fine", "element", "increment")}
+    error = TensileError(
+        entry["error"],
+        entry["increment_error"],
+        dict(entry["mesh_error_after"]),
+        tuple(table["alloys"]),
+        entry["processor_seconds"],
+        table["command"],
     )
+    return {**numbers, "tensile_error": error}
 
 
 RESOLUTIONS: dict[str, Resolution] = read_presets()

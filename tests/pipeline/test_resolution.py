@@ -5,7 +5,13 @@ from types import SimpleNamespace
 import pytest
 
 from pipeline import doubts
-from pipeline.resolution import PRESETS_FILE, RESOLUTIONS, read_presets, resolution
+from pipeline.resolution import (
+    PRESETS_FILE,
+    RESOLUTIONS,
+    TENSILE_FILE,
+    read_presets,
+    resolution,
+)
 from pipeline.resolve import resolve_scene
 from pipeline.scene import ScrewGeometry
 from pipeline.screw import ScrewParameters
@@ -44,6 +50,10 @@ def test_a_file_that_is_no_table_of_presets_is_refused(tmp_path):
     path.write_text("quick = [")
     with pytest.raises(ValueError, match="presets.toml"):
         read_presets(path)
+    path = tmp_path / "presets_tensile.toml"
+    path.write_text(TENSILE_FILE.read_text().replace("element = ", "shape = ", 1))
+    with pytest.raises(ValueError, match="presets_tensile.toml that `perilife study tensile`"):
+        read_presets(tensile=path)
     with pytest.raises(ValueError, match="quick, standard, fine"):
         resolution("medium")
 
@@ -57,11 +67,44 @@ def test_the_report_quotes_the_error_of_the_preset_used(name):
     assert f"{100 * known.error:.1f} %" in doubts.in_short(run_of(resolution_name=name), 3)
 
 
+def test_the_tensile_error_rises_with_the_immersion_time_and_falls_with_the_preset():
+    for preset in RESOLUTIONS.values():
+        errors = [error for _, error in preset.tensile_error.of_times()]
+        assert errors == sorted(errors) and 0.001 < errors[0]
+        # The file holds two digits of each number: 5 % of rounding.
+        assert errors[-1] == pytest.approx(preset.tensile_error.error, rel=0.05)
+    after = [RESOLUTIONS[n].tensile_error.error for n in ("quick", "standard", "fine")]
+    assert after == sorted(after, reverse=True)
+    assert RESOLUTIONS["quick"].tensile_error.processor_seconds <= 30
+    # Fourteen tests on two cores within an hour.
+    assert 14 / 2 * RESOLUTIONS["standard"].tensile_error.processor_seconds <= 3600
+
+
+@pytest.mark.parametrize("name", RESOLUTIONS)
+def test_the_report_quotes_the_tensile_error_of_the_preset_used(name):
+    label, error = RESOLUTIONS[name].tensile_error.of_times()[-1]
+    text = f"{100 * error:.0f} % up to {label}"
+    run = run_of(resolution_name=name)
+    assert text in doubts.error_estimate(run) and text in doubts.in_short(run, 3)
+    assert "reference screw of Mg-5Gd, not here" in doubts.error_estimate(run)  # Mg-10Gd is not
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"mesh_size": 0.19e-3}, {"tensile": {"damage": "point"}}, {"tensile": {"increment": 0.02}}],
+)
+def test_other_tensile_settings_do_not_borrow_the_error_of_a_preset(changes):
+    run = run_of(**changes)
+    text = doubts.error_estimate(run)
+    assert "has not been measured for this mesh, element and increment" in text
+    assert "up to 24w" not in text + doubts.in_short(run, 3)
+
+
 def test_other_settings_do_not_borrow_the_error_of_a_preset():
     for changes in ({"spacing": 80e-6}, {"corrosion": {"step": 3600.0}}):
         text = doubts.error_estimate(run_of(**changes))
         assert "has not been measured for these lattice and time settings" in text
-        assert "%" not in text
+        assert "volume loss is off by" not in text
 
 
 def test_another_solid_is_told_where_the_error_was_measured():

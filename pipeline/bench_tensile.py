@@ -1,0 +1,180 @@
+"""Benchmarks of the tensile stage: constitutive update, one quick pull, the published size."""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.bench_result import Result
+
+POINTS = 200_000
+PUBLISHED_SIZES = (48e-6, 30e-6)
+"""Edge lengths of about 773,000 cells (m)."""
+
+PUBLISHED_INCREMENTS = 3
+"""Increments of the published size that are timed; the rest of a test repeats them."""
+
+
+def tensile() -> list[Result]:
+    """Constitutive update on both threads, and one quick pull after 8 weeks."""
+    return [*constitutive_update(), *quick_pull()]
+
+
+def small_tensile() -> list[Result]:
+    """The constitutive update on fewer points."""
+    return constitutive_update(20_000)
+
+
+def constitutive_update(count: int = POINTS) -> list[Result]:
+    """Plastic points per second with stress, state and consistent tangent, f = 0 and 0.05."""
+    return [*_updates(count, 0.0, None), *_updates(count, 0.05, ">= 1e6")]
+
+
+def _updates(count: int, damage: float, target: str | None) -> list[Result]:
+    from fem.constitutive import Material, fit_voce
+    from fem.constitutive.material import identity_plastic, update_points
+    from pipeline.machine import processor_cores
+
+    threads = processor_cores()
+    material = Material(43e9, 0.3, fit_voce(130e6, 220e6, 0.19))
+    random = np.random.default_rng(0)
+    # 1 % of strain in every direction: three times the strain at yield
+    gradients = np.eye(3) + 0.01 * random.standard_normal((count, 3, 3))
+    old = (identity_plastic((count,)), np.zeros(count), np.full(count, damage))
+    law = (material.parameters(), material.hardening.kind, material.hardening.parameters())
+    new = (
+        np.empty((count, 3, 3)), np.empty((count, 9, 9)), np.empty((count, 6)), np.empty(count),
+        np.empty(count),
+    )  # fmt: skip
+    failed = np.zeros(threads, int)
+
+    def update(part: int) -> None:
+        cut = slice(part * count // threads, (part + 1) * count // threads)
+        inputs = (array[cut] for array in (gradients, *old))
+        outputs = (array[cut] for array in new)
+        failed[part] = update_points(*inputs, *law, *outputs)
+
+    update(0)  # compiles
+    best, processor = np.inf, np.inf
+    for _ in range(3):
+        workers = [threading.Thread(target=update, args=(part,)) for part in range(threads)]
+        begun, begun_processor = time.perf_counter(), time.process_time()
+        for worker in workers:
+            worker.start()
+        for worker in workers:
+            worker.join()
+        best = min(best, time.perf_counter() - begun)
+        processor = min(processor, time.process_time() - begun_processor)
+    plastic = int((new[3] > 0.0).sum())
+    where = f"f = {damage:g}"
+    return [
+        Result(f"{where}: points per second, {threads} threads", plastic / best, "1/s", target),
+        Result(f"{where}: points per processor second", plastic / processor, "1/s"),
+        Result(f"{where}: share of the points that yield", plastic / count, "1"),
+        Result(f"{where}: points without a result", float(failed.sum()), "1", "0"),
+    ]
+
+
+def quick_pull(alloy: str = "Mg-5Gd", immersion: str = "8w") -> list[Result]:
+    """The reference screw of the quick preset after 8 weeks, on one thread."""
+    from pipeline.resolution import resolution
+    from pipeline.study_pulls import Pull, Workshop
+
+    preset = resolution("quick")
+    with tempfile.TemporaryDirectory(prefix="perilife-bench-") as place:
+        shop = Workshop(Path(place))
+        shop.corrode(alloy, ["0w", immersion])
+        pull = Pull(
+            "", "", alloy, immersion, preset.element, preset.mesh_size, preset.mesh_size_fine,
+            preset.increment,
+        )  # fmt: skip
+        row = shop.pull([pull], 1, lambda row: None)[0]
+    passed = not row.status.startswith("stopped")
+    rest = row.processor_seconds - row.assembly_seconds - row.setup_seconds - row.solve_seconds
+    return [
+        Result("quick pull: cells", row.cells, "1"),
+        Result("quick pull: unknowns", row.unknowns, "1"),
+        Result("quick pull: processor time", row.processor_seconds, "s", "<= 30"),
+        Result("quick pull: of that material and assembly", row.assembly_seconds, "s"),
+        Result("quick pull: of that set-up of the preconditioner", row.setup_seconds, "s"),
+        Result("quick pull: of that linear solutions", row.solve_seconds, "s"),
+        Result("quick pull: of that the rest", rest, "s"),
+        Result("quick pull: most Newton iterations of an increment", row.iterations, "1", "<= 12"),
+        Result("quick pull: reached its stop criterion", float(passed), "1", "1"),
+        Result("quick pull: peak force", row.peak_force, "N"),
+    ]
+
+
+def published_tensile() -> list[Result]:
+    """The published size after 8 weeks on two ranks: a few increments, split by what they cost."""
+    found = published_pull(PUBLISHED_SIZES, PUBLISHED_INCREMENTS)
+    iterations = found["iterations"]
+    per = f"per Newton iteration, {iterations:.0f} of them"
+    # 0.5 % of strain an increment, six iterations each: what a whole test to 10 % would take
+    whole = found["setup"] + 20 * 6 * found["loop"] / max(iterations, 1)
+    return [
+        Result("cells", found["cells"], "1", "about 773,000"),
+        Result("unknowns", found["unknowns"], "1", "about 412,000"),
+        Result("generation of the mesh", found["mesh"], "s"),
+        Result("set-up of the test", found["setup"], "s"),
+        Result(f"time {per}", found["loop"] / max(iterations, 1), "s"),
+        Result(f"material and assembly {per}", found["assembly"] / max(iterations, 1), "s"),
+        Result(f"set-up of the preconditioner {per}", found["preconditioner"] / iterations, "s"),
+        Result(f"linear solutions {per}", found["solve"] / max(iterations, 1), "s"),
+        Result("strain reached", found["strain"], "1"),
+        Result("memory of both ranks", found["memory"], "bytes", "<= 8e9"),
+        Result("whole test, 20 increments of 6 iterations, extrapolated", whole, "s", "<= 1200"),
+    ]
+
+
+def small_published() -> list[Result]:
+    """The same on 19,000 cells."""
+    found = published_pull((0.2e-3, 0.12e-3), 2)
+    return [Result(name, value, "") for name, value in found.items()]
+
+
+def published_pull(
+    sizes: tuple[float, float], increments: int, element: str = "P1", ranks: int = 2
+) -> dict[str, float]:
+    """Pull the screw after 8 weeks on the quick lattice; the tensile stage itself, on two ranks."""
+    from pipeline.life_cycle import LifeCycle
+    from pipeline.progress import Progress
+    from pipeline.resolve import resolve_scene
+    from pipeline.tensile_stage import read_result
+
+    step = 0.005
+    strain = step * increments
+    scene = resolve_scene(
+        ["Mg-5Gd"], ["8w"], "quick", mesh_size=sizes[0], mesh_size_fine=sizes[1],
+        tensile={"element": element, "increment": step, "final_strain": strain},
+    )  # fmt: skip
+    with tempfile.TemporaryDirectory(prefix="perilife-bench-") as place:
+        cycle = LifeCycle(scene, Path(place), ranks=ranks, workers=1, progress=Progress())
+        begun = time.perf_counter()
+        cycle.geometry()
+        meshed = time.perf_counter() - begun
+        cycle.corrode("Mg-5Gd")
+        moment = scene.immersion[0]
+        cycle.map("Mg-5Gd", moment)
+        cycle.pull([("Mg-5Gd", moment)])
+        folder = cycle.folder.immersion("Mg-5Gd", moment.label)
+        result = read_result(folder)
+        table = np.genfromtxt(folder / "tensile.csv", delimiter=",", names=True)
+    cost = result["cost"]
+    return {
+        "cells": result["cells"],
+        "unknowns": cost["unknowns"],
+        "mesh": meshed,
+        "setup": cost["setup_seconds"],
+        "loop": cost["seconds"] - cost["setup_seconds"],
+        "assembly": cost["assembly_seconds"],
+        "preconditioner": cost["preconditioner_seconds"],
+        "solve": cost["solve_seconds"],
+        "iterations": float(table["iterations"].sum()),
+        "strain": float(table["elongation"][-1]),
+        "memory": ranks * result["memory_bytes"],
+    }
