@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import inspect
+
 import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix, diags
 from scipy.sparse.linalg import cg
 
-_TOLERANCE = 1e-8
+# SciPy 1.12 renamed the argument
+_TOLERANCE = {"rtol" if "rtol" in inspect.signature(cg).parameters else "tol": 1e-8}
 
 
 class DamageLength:
@@ -62,8 +65,8 @@ class DamageLength:
         shares = 0.25 * self.volumes[active] * strain[active]
         right = np.bincount(self._numbered.ravel(), np.repeat(shares, 4), minlength=len(self._mass))
         mean, failed = cg(
-            self._matrix, right, right / self._mass, tol=_TOLERANCE, atol=0.0,
-            M=self._inverse_diagonal,
+            self._matrix, right, right / self._mass, atol=0.0, M=self._inverse_diagonal,
+            **_TOLERANCE,
         )  # fmt: skip
         if failed:
             raise RuntimeError("the averaging of the damage did not converge")
