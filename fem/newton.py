@@ -132,7 +132,11 @@ class EquilibriumSolver:
         reduced = np.array([[float((row * z).sum()) for z in responses] for row in rows])
         right = total + np.tensordot(rows, step)
         reduced, right = self.comm.allreduce(reduced), self.comm.allreduce(right)
-        return step - np.tensordot(np.linalg.solve(reduced, right), responses, axes=1)
+        try:
+            shift = np.linalg.solve(reduced, right)
+        except np.linalg.LinAlgError:
+            return None
+        return step - np.tensordot(shift, responses, axes=1)
 
     def _along(self, force: np.ndarray, step: np.ndarray) -> float:
         """Force of the free unknowns, a floating grip's translation included, along a step [J]."""
