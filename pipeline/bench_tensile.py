@@ -12,7 +12,7 @@ import numpy as np
 from pipeline.bench_result import Result
 
 POINTS = 200_000
-PUBLISHED_SIZES = (48e-6, 30e-6)
+PUBLISHED_SIZES = (48e-6, 32e-6)
 """Edge lengths of about 773,000 cells (m)."""
 
 PUBLISHED_INCREMENTS = 3
@@ -94,11 +94,12 @@ def quick_pull(alloy: str = "Mg-5Gd", immersion: str = "8w") -> list[Result]:
         )  # fmt: skip
         row = shop.pull([pull], 1, lambda row: None)[0]
     passed = not row.status.startswith("stopped")
-    rest = row.processor_seconds - row.assembly_seconds - row.setup_seconds - row.solve_seconds
+    rest = row.seconds - row.assembly_seconds - row.setup_seconds - row.solve_seconds
     return [
         Result("quick pull: cells", row.cells, "1"),
         Result("quick pull: unknowns", row.unknowns, "1"),
         Result("quick pull: processor time", row.processor_seconds, "s", "<= 30"),
+        Result("quick pull: time on one thread", row.seconds, "s"),
         Result("quick pull: of that material and assembly", row.assembly_seconds, "s"),
         Result("quick pull: of that set-up of the preconditioner", row.setup_seconds, "s"),
         Result("quick pull: of that linear solutions", row.solve_seconds, "s"),

@@ -64,8 +64,9 @@ class Row(Pull):
     """A pull with its outcome and cost.
 
     strain_at_peak: elongation over length at the largest force; strain_at_drop: where the force has
-    fallen by a tenth (NaN where it has not); iterations: most of one increment; seconds of the
-    processor.
+    fallen by a tenth (NaN where it has not); iterations: most of one increment; processor_seconds:
+    of the whole pull; seconds: of the clock, and of these material and assembly, set-up of the
+    preconditioner, linear solutions.
     """
 
     cells: int = 0
@@ -76,6 +77,7 @@ class Row(Pull):
     increments: int = 0
     iterations: int = 0
     processor_seconds: float = 0.0
+    seconds: float = 0.0
     assembly_seconds: float = 0.0
     setup_seconds: float = 0.0
     solve_seconds: float = 0.0
@@ -269,6 +271,7 @@ def pull_once(folder: Path, pull: Pull, limit: float = LIMIT_SECONDS) -> Row:
         increments=len(result.force) - 1,
         iterations=int(history["iterations"].max()) if history else 0,
         processor_seconds=time.process_time() - begun,
+        seconds=cost.get("seconds", 0.0),
         assembly_seconds=cost.get("assembly_seconds", 0.0),
         setup_seconds=cost.get("preconditioner_seconds", 0.0),
         solve_seconds=cost.get("solve_seconds", 0.0),
