@@ -75,7 +75,7 @@ def test_the_tensile_error_rises_with_the_immersion_time_and_falls_with_the_pres
         assert errors[-1] == pytest.approx(preset.tensile_error.error, rel=0.05)
     after = [RESOLUTIONS[n].tensile_error.error for n in ("quick", "standard", "fine")]
     assert after == sorted(after, reverse=True)
-    assert RESOLUTIONS["quick"].tensile_error.processor_seconds <= 30
+    assert RESOLUTIONS["quick"].tensile_error.processor_seconds <= 60
     # Fourteen tests on two cores within an hour.
     assert 14 / 2 * RESOLUTIONS["standard"].tensile_error.processor_seconds <= 3600
 
