@@ -412,14 +412,16 @@ def peak_of_curve(elongation: np.ndarray, force: np.ndarray) -> tuple[float, flo
     if k == 0 or k == len(force) - 1:
         return float(elongation[k]), float(force[k])
     x, y = elongation[k - 1 : k + 2], force[k - 1 : k + 2]
-    width = x[2] - x[0]
-    second, first, constant = np.polyfit((x - x[1]) / width, y, 2)
-    if second >= 0:
+    if not x[0] < x[1] < x[2]:  # the solid parted at its peak
         return float(x[1]), float(y[1])
-    shift = -0.5 * width * first / second
-    if not x[0] <= x[1] + shift <= x[2]:
+    rise, fall = np.diff(y) / np.diff(x)
+    bend = (fall - rise) / (x[2] - x[0])
+    if not bend < 0:
         return float(x[1]), float(y[1])
-    return float(x[1] + shift), float(constant - 0.25 * first**2 / second)
+    top = 0.5 * (x[0] + x[1]) - 0.5 * rise / bend
+    if not x[0] <= top <= x[2]:
+        return float(x[1]), float(y[1])
+    return float(top), float(y[0] + (rise + bend * (top - x[1])) * (top - x[0]))
 
 
 __all__ = ["Discretisation", "TensileResult", "TensileSettings", "peak_of_curve", "tensile_test"]

@@ -139,8 +139,8 @@ def diffusion_stencil(
     calibration : {"discrete", "closed"}
         "closed" takes K of the continuous integral (as published; for an ellipsoid with the
         horizon of each bond's direction, Jafarzadeh et al. 2022 Eqs 15-16).  "discrete" scales it
-        so that the lattice sum itself has second moment 2 along every axis, K = 2 / sum_j w_j xi_a^2: the
-        standard scheme then converges as delta -> 0 at fixed delta/dx; the closed one does not
+        so that the lattice sum has second moment 2 along every axis, K = 2 / sum_j w_j xi_a^2:
+        the standard scheme then converges as delta -> 0 at fixed delta/dx; the closed one does not
         (dissertation 3.2.5).
 
     Raises

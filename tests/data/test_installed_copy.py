@@ -6,8 +6,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-import perilife_data
 import pytest
+
+import perilife_data
 
 ROOT = Path(__file__).resolve().parents[2]
 ASK_THE_COPY = """

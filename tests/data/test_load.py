@@ -4,10 +4,11 @@ import dataclasses
 import re
 from pathlib import Path
 
-import perilife_data
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
+import perilife_data
 from perilife_data.references import FOLDER, read_references
 from perilife_data.units import UNITS, to_si
 

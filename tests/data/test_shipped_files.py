@@ -2,8 +2,9 @@
 
 import re
 
-import perilife_data
 import pytest
+
+import perilife_data
 from perilife_data.references import FOLDER, shipped_references
 from perilife_data.schema import Record
 

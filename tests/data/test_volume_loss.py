@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from perilife_data import read_volume_loss_csv
 
 HEADER = "immersion time [w], volume loss [%], standard deviation [%]\n"
