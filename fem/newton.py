@@ -15,6 +15,7 @@ from fem.quadrature_state import QuadratureState
 from fem.solvers import LinearSolver
 
 log = logging.getLogger(__name__)
+INVERTED_PREDICTION = "inverted cell in the prediction"
 _TRIALS = 8  # of the line search
 _FIRST_SHARE, _LARGEST_SHARE = 0.01, 0.3  # of the elastic tangent
 _RESPONSE_TOLERANCE = 1e-4  # of the response to a translation of the grip
@@ -186,8 +187,15 @@ class EquilibriumSolver:
             material[STIFFENING] = 0.25 * share if share > _FIRST_SHARE else 0.0
         return material[STIFFENING] > share
 
-    def predict(self, displacement: np.ndarray, amount: float, change: float) -> np.ndarray | None:
-        """Displacement after a change of the grip's amount, by the tangent at the old state."""
+    def predict(
+        self, displacement: np.ndarray, amount: float, change: float, stiff: bool = False
+    ) -> np.ndarray | None:
+        """Displacement after a change of the grip's amount, by the tangent at the old state.
+
+        stiff: with the largest share of the elastic tangent, where the plain one turns cells that
+        hardly resist inside out.
+        """
+        self.assembler.material[STIFFENING] = _LARGEST_SHARE if stiff else 0.0
         result, failed, _, _ = self._assemble(displacement)
         if failed:
             return None
@@ -200,9 +208,7 @@ class EquilibriumSolver:
         self._direction = self.grip.derivative(amount)
         result, failed, norm, conjugate = self._assemble(displacement)
         if failed:
-            return Equilibrium(
-                False, 0, 0.0, 0.0, 0.0, "inverted cell in the prediction"
-            ), displacement
+            return Equilibrium(False, 0, 0.0, 0.0, 0.0, INVERTED_PREDICTION), displacement
         first = norm
         self.assembler.material[STIFFENING] = 0.0
         for iteration in range(self.maximum_iterations + 1):

@@ -24,7 +24,7 @@ from fem.constitutive.material import Material
 from fem.damage_length import DamageLength
 from fem.discretisation import Discretisation, build
 from fem.loading import Load, MovingGrip
-from fem.newton import EquilibriumSolver
+from fem.newton import INVERTED_PREDICTION, EquilibriumSolver
 from fem.preparation import prepare
 from fem.quadrature import Element, find_element
 from fem.quadrature_state import QuadratureState
@@ -309,12 +309,17 @@ class _Test:
         if previous is not None:
             guess = displacement + previous * (size / previous_size)
             outcome, tried = self.solver.solve(guess, amount)
-            if outcome.converged or outcome.reason != "inverted cell in the prediction":
+            if outcome.converged or outcome.reason != INVERTED_PREDICTION:
                 return outcome, tried
-        guess = self.solver.predict(displacement, amount - change, change)
-        if guess is None:
-            return None, displacement
-        return self.solver.solve(guess, amount)
+        outcome, tried = None, displacement
+        for stiff in (False, True):
+            guess = self.solver.predict(displacement, amount - change, change, stiff)
+            if guess is None:
+                break
+            outcome, tried = self.solver.solve(guess, amount)
+            if outcome.reason != INVERTED_PREDICTION:
+                break
+        return outcome, tried
 
     def _row(self, motion, reaction, iterations, halvings, work, stored, dissipated):
         damage = self.state.old.damage
