@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import json
 import logging
-import os
-import shutil
 import subprocess
 import sys
 import time
 from pathlib import Path
 
 import numpy as np
+
+from pipeline.machine import child_environment, mpirun
 
 logger = logging.getLogger(__name__)
 
@@ -30,27 +30,10 @@ def in_own_process(case: str, *, ranks: int = 0, threads: int | None = None, **a
     Raises FileNotFoundError where mpirun is needed and absent, RuntimeError where the case fails
     (with the last line that it said).
     """
-    environment = dict(os.environ)
-    environment.setdefault("OMP_WAIT_POLICY", "passive")
-    root = str(Path(__file__).resolve().parents[1])
-    environment["PYTHONPATH"] = os.pathsep.join(
-        part for part in (root, environment.get("PYTHONPATH", "")) if part
-    )
     command = [sys.executable, "-m", "pipeline.bench_case", case, json.dumps(arguments)]
     if ranks:
-        mpirun = shutil.which("mpirun")
-        if mpirun is None:
-            raise FileNotFoundError("mpirun was not found on PATH; the ranks of scaling need it")
-        command = [mpirun, "--oversubscribe", "-n", str(ranks), *command]
-        threads = 1
-        environment["OMP_NUM_THREADS"] = "1"
-        environment["OMPI_MCA_mpi_yield_when_idle"] = "1"
-        environment["OMPI_MCA_hwloc_base_binding_policy"] = "none"
-        if os.geteuid() == 0:
-            environment["OMPI_ALLOW_RUN_AS_ROOT"] = "1"
-            environment["OMPI_ALLOW_RUN_AS_ROOT_CONFIRM"] = "1"
-    if threads is not None:
-        environment["NUMBA_NUM_THREADS"] = str(threads)
+        command, threads = [*mpirun(ranks, "the ranks of scaling"), *command], 1
+    environment = child_environment(ranks, threads)
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     for line in done.stdout.splitlines():
         if line.startswith(MARK):

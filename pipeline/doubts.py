@@ -3,15 +3,13 @@
 import numpy as np
 
 from pipeline.plan import scene_omissions
-from pipeline.resolution import RESOLUTIONS, CorrosionError, TensileError
+from pipeline.resolution import RESOLUTIONS, CorrosionError, Resolution, TensileError
 from pipeline.resolve import DEFAULT_PARAMETER_SET
 from pipeline.run_results import ImmersionResult, RunResults, column
 from pipeline.scene import (
-    CorrosionSettings,
     DomainSettings,
     Scene,
     ScrewGeometry,
-    TensileScene,
 )
 from pipeline.units import format_seconds
 from pipeline.wording import duration, percent
@@ -79,16 +77,36 @@ def error_estimate(run: RunResults) -> str:
 def _corrosion_error(scene: Scene) -> CorrosionError | None:
     """What was measured of the preset's lattice and time steps, if the scene uses just these."""
     preset = RESOLUTIONS.get(scene.resolution)
-    default = CorrosionSettings()
-    if preset is None or (
-        (scene.lattice.spacing, scene.lattice.horizon, scene.corrosion.rate_change)
-        != (preset.spacing, preset.horizon, preset.rate_change)
+    if preset is None or not (
+        _alike(scene.lattice, preset, spacing="spacing", horizon="horizon")
+        and _alike(scene.corrosion, preset, rate_change="rate_change")
+        and _default(scene.corrosion, "scheme", "step", "saturation", "calibration", "influence")
     ):
         return None
-    names = ("scheme", "step", "saturation", "calibration", "influence")
-    if any(getattr(scene.corrosion, name) != getattr(default, name) for name in names):
-        return None
     return preset.corrosion_error
+
+
+def _tensile_error(scene: Scene) -> TensileError | None:
+    """What was measured of the preset's mesh and increment, if the scene uses just these."""
+    preset = RESOLUTIONS.get(scene.resolution)
+    if preset is None or not (
+        _alike(scene.mesh, preset, size="mesh_size", size_fine="mesh_size_fine")
+        and _alike(scene.tensile, preset, element="element", increment="increment")
+        and _default(scene.tensile, "damage", "damage_length", "final_strain", "lateral")
+    ):
+        return None
+    return preset.tensile_error
+
+
+def _alike(settings: object, preset: Resolution, **names: str) -> bool:
+    """Whether settings have the preset's values; names: field of the settings = of the preset."""
+    return all(getattr(settings, ours) == getattr(preset, its) for ours, its in names.items())
+
+
+def _default(settings: object, *names: str) -> bool:
+    """Whether these fields of settings are as nobody changed them."""
+    untouched = type(settings)()
+    return all(getattr(settings, name) == getattr(untouched, name) for name in names)
 
 
 def _volume_loss_error(run: RunResults) -> str:
@@ -113,21 +131,6 @@ def _volume_loss_error(run: RunResults) -> str:
         f"The volume loss is off by at most {errors} of its value because space and time are "
         f"discrete, measured up to 8 weeks {where}."
     )
-
-
-def _tensile_error(scene: Scene) -> TensileError | None:
-    """What was measured of the preset's mesh and increment, if the scene uses just these."""
-    preset = RESOLUTIONS.get(scene.resolution)
-    if preset is None or (
-        (scene.mesh.size, scene.mesh.size_fine, scene.tensile.element, scene.tensile.increment)
-        != (preset.mesh_size, preset.mesh_size_fine, preset.element, preset.increment)
-    ):
-        return None
-    default = TensileScene()
-    names = ("damage", "damage_length", "final_strain", "lateral")
-    if any(getattr(scene.tensile, name) != getattr(default, name) for name in names):
-        return None
-    return preset.tensile_error
 
 
 def _strength_error(run: RunResults) -> str:

@@ -34,6 +34,43 @@ def processor_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def child_environment(ranks: int, threads: int | None) -> dict[str, str]:
+    """Environment of a child process that imports this checkout, alone or under mpirun.
+
+    ranks: how many start together, 0 or 1 for one process; threads: of Numba, each rank's own, None
+    leaves the choice to the child.
+    """
+    environment = dict(os.environ)
+    # threads and ranks that wait give their core away: on a busy machine spinning costs many times
+    # the work
+    environment.setdefault("OMP_WAIT_POLICY", "passive")
+    if ranks:
+        environment["OMP_NUM_THREADS"] = "1"
+        environment["OMPI_MCA_rmaps_base_oversubscribe"] = "1"
+        environment["OMPI_MCA_mpi_yield_when_idle"] = "1"
+        environment["OMPI_MCA_hwloc_base_binding_policy"] = "none"
+        if os.geteuid() == 0:
+            environment["OMPI_ALLOW_RUN_AS_ROOT"] = "1"
+            environment["OMPI_ALLOW_RUN_AS_ROOT_CONFIRM"] = "1"
+    if threads is not None:
+        environment["NUMBA_NUM_THREADS"] = str(threads)
+    root = str(Path(__file__).resolve().parents[1])
+    environment["PYTHONPATH"] = os.pathsep.join(
+        part for part in (root, environment.get("PYTHONPATH", "")) if part
+    )
+    return environment
+
+
+def mpirun(ranks: int, asked_by: str) -> list[str]:
+    """Start of a command for several ranks; FileNotFoundError where mpirun is not installed."""
+    program = shutil.which("mpirun")
+    if program is None:
+        raise FileNotFoundError(
+            f"mpirun was not found on PATH; it must be installed for {asked_by}"
+        )
+    return [program, "-n", str(ranks)]
+
+
 def describe_machine() -> dict[str, object]:
     """Processor, cores, memory and system, for benchmarks and reports."""
     return {

@@ -11,6 +11,7 @@ from pipeline.scene import (
     DAMAGE_UPDATES,
     DOMAIN_SHAPES,
     LATERAL,
+    OMITTABLE,
     SATURATIONS,
     TIME_SCHEMES,
     DomainSettings,
@@ -69,7 +70,8 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
         "--keep",
         nargs="+",
         metavar="WHAT",
-        help="compute all the same, of what `perilife plan` lists as left out: liquid",
+        help="compute all the same, of what `perilife plan` lists as left out: "
+        + ", ".join(OMITTABLE),
     )
     corrosion.add_argument("--domain", metavar="SHAPE", help=", ".join(DOMAIN_SHAPES))
     corrosion.add_argument("--boundary", metavar="B", help=", ".join(BOUNDARIES))

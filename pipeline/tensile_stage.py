@@ -8,7 +8,6 @@ import json
 import logging
 import os
 import resource
-import shutil
 import signal
 import subprocess
 import sys
@@ -19,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.machine import child_environment, mpirun, processor_cores
 from pipeline.map_stage import DAMAGE_FILE, read_damage
 from pipeline.mesh import read_mesh
 from pipeline.run_folder import write_json, write_text
@@ -276,35 +276,15 @@ def run_jobs(
 
 
 def _launcher(ranks: int) -> list[str]:
-    if ranks == 1:
-        return [sys.executable, "-m", "pipeline.tensile_stage"]
-    mpirun = shutil.which("mpirun")
-    if mpirun is None:
-        raise FileNotFoundError(
-            f"mpirun was not found on PATH; it must be installed for --np {ranks}"
-        )
-    return [mpirun, "-n", str(ranks), sys.executable, "-m", "pipeline.tensile_stage"]
+    command = [sys.executable, "-m", "pipeline.tensile_stage"]
+    return command if ranks == 1 else [*mpirun(ranks, f"--np {ranks}"), *command]
 
 
 def _environment(ranks: int, workers: int) -> dict[str, str]:
     """One thread per rank for BLAS; Numba gets what is left of the cores."""
-    environment = dict(os.environ)
-    cores = len(os.sched_getaffinity(0))
+    threads = max(1, processor_cores() // (ranks * workers))
+    environment = child_environment(ranks, threads)
     environment[PARENT_VARIABLE] = str(os.getpid())
-    environment["OMP_NUM_THREADS"] = "1"
-    environment.setdefault("OMP_WAIT_POLICY", "passive")
-    environment["NUMBA_NUM_THREADS"] = str(max(1, cores // (ranks * workers)))
-    environment["OMPI_MCA_rmaps_base_oversubscribe"] = "1"
-    # ranks that wait give their core away: on a busy machine spinning costs many times the work
-    environment["OMPI_MCA_mpi_yield_when_idle"] = "1"
-    environment["OMPI_MCA_hwloc_base_binding_policy"] = "none"
-    if os.geteuid() == 0:
-        environment["OMPI_ALLOW_RUN_AS_ROOT"] = "1"
-        environment["OMPI_ALLOW_RUN_AS_ROOT_CONFIRM"] = "1"
-    root = str(Path(__file__).resolve().parents[1])
-    environment["PYTHONPATH"] = os.pathsep.join(
-        part for part in (root, environment.get("PYTHONPATH", "")) if part
-    )
     return environment
 
 

@@ -61,7 +61,7 @@ class Material:
     stiffness_loss: the moduli fall with f as the strength does, by 1 - q1 f. Departure from the
     source, which keeps them: metal that yields at a hundredth of the stress would yield at a
     hundredth of the strain too, and no Newton iteration gets through. What it does to the peak
-    force is in tests/fem/test_corroded_screw.py.
+    force is in tests/fem/test_tensile_test.py.
     """
 
     young: float
@@ -152,13 +152,14 @@ def _stiffness_left(damage: float, material: np.ndarray) -> float:
     return 1.0
 
 
+@njit(cache=True, nogil=True)
 def stiffness_left(damage: np.ndarray, material: np.ndarray) -> np.ndarray:
-    """`_stiffness_left` for arrays of f; material: the parameter vector."""
-    onset = material[COALESCENCE]
-    faster = onset + material[ACCELERATION] * (damage - onset)
-    effective = np.where(damage <= onset, damage, faster)
-    left = 1.0 - material[STIFFNESS_LOSS] * material[Q1] * effective
-    return np.where(damage >= material[LIMIT], VOID_STIFFNESS, left)
+    """`_stiffness_left` for an array of f (nc, nq); material: the parameter vector."""
+    left = np.empty_like(damage)
+    for c in range(damage.shape[0]):
+        for q in range(damage.shape[1]):
+            left[c, q] = _stiffness_left(damage[c, q], material)
+    return left
 
 
 @njit(cache=True, nogil=True)
