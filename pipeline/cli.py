@@ -22,6 +22,7 @@ STUDIES = {
     "corrosion": "error of the volume loss against processor time, and the presets (15 min)",
     "rates": "what lattice and orientation do to the dissolution rate (seconds)",
     "saturation": "what the time step does to the two saturation models (5 min)",
+    "boundaries": "what no-flux walls and held layers do to diffusion near them (seconds)",
     "tensile": "error of peak force and strength left against processor time, presets (30 min)",
     "life-cycle": "where the error of the strength left comes from, and what less of it costs",
 }
@@ -312,6 +313,11 @@ def _study(options: argparse.Namespace) -> int:
         from pipeline.study_rates import print_rates
 
         print_rates()
+        return 0
+    if options.what == "boundaries":
+        from pipeline.study_boundaries import print_boundaries
+
+        print_boundaries()
         return 0
     if options.what == "saturation":
         from pipeline.study_saturation import print_saturation

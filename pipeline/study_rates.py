@@ -112,20 +112,20 @@ def print_rates() -> None:
     ):
         print(f"\nFlux at zero loss against i/(zF), error in %. {text}.\n")
         names = [f"{d}D {a:g}°" for d in (2, 3) for a in ANGLES]
-        print(_line(["m", "1D", *names, f"sphere, R = {SPHERE:g} δ"]))
-        print(_line(["---:"] * (len(names) + 3)))
+        print(table_line(["m", "1D", *names, f"sphere, R = {SPHERE:g} δ"]))
+        print(table_line(["---:"] * (len(names) + 3)))
         for entry in flux_errors(calibration):
             values = [*entry.flat.values(), entry.sphere]
-            print(_line([str(entry.ratio), *(_percent(v) for v in values)]))
+            print(table_line([str(entry.ratio), *(_percent(v) for v in values)]))
     curvature = 100 * (rates.sphere_curvature_factor(1.0, SPHERE) - 1)
     print(f"\nCurvature alone makes {curvature:.2f} % of the sphere's error (1 - δ²/36R²).")
 
     print("\nFlat-front profile summed over nodes, error in % (Zhao et al. 2021, Table 2).\n")
-    print(_line(["m", "here", "published"]))
-    print(_line(["---:"] * 3))
+    print(table_line(["m", "here", "published"]))
+    print(table_line(["---:"] * 3))
     for m in sorted({*RATIOS, *PUBLISHED}):
         here = -100 * rates.flat_front_quadrature_error(m)
-        print(_line([str(m), f"{here:.3g}", f"{PUBLISHED[m]:g}" if m in PUBLISHED else ""]))
+        print(table_line([str(m), f"{here:.3g}", f"{PUBLISHED[m]:g}" if m in PUBLISHED else ""]))
 
     slow = math.log(CONCENTRATION_RATIO)
     print(
@@ -134,14 +134,15 @@ def print_rates() -> None:
         f"C_solid/C_sat = {CONCENTRATION_RATIO:.0e}.\n"
     )
     laws = ("Faraday", "proportional")
-    print(_line(["m", *(f"{law}, {d}D" for law in laws for d in (1, 2, 3))]))
-    print(_line(["---:"] * 7))
+    print(table_line(["m", *(f"{law}, {d}D" for law in laws for d in (1, 2, 3))]))
+    print(table_line(["---:"] * 7))
     for m, speeds in front_speeds():
         exact = [faradaic_front_speed(unit_stencil(d, m)) for d in (1, 2, 3)]
-        print(_line([str(m), *(f"{v:.5f}" for v in (*exact, *speeds.values()))]))
+        print(table_line([str(m), *(f"{v:.5f}" for v in (*exact, *speeds.values()))]))
 
 
-def _line(entries: list[str]) -> str:
+def table_line(entries: list[str]) -> str:
+    """One line of a Markdown table."""
     return "| " + " | ".join(entries) + " |"
 
 

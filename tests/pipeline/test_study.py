@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import quad, quad_vec
 
 from peri.corrosion.kinetics import ConstantRate
-from pipeline import study_rates, study_results
+from pipeline import study_boundaries, study_rates, study_results
 from pipeline.resolution import RESOLUTIONS, read_presets
 from pipeline.study_corrosion import LATTICE_CURVES, RATE_CHANGES, STEP_CURVES, Row, Study
 from pipeline.study_reference import continuum_volume_loss
@@ -137,8 +137,9 @@ def test_flux_along_the_axes_is_exact_and_other_directions_improve_with_the_latt
 
 def test_tables_in_the_documentation_are_those_that_the_command_prints(capsys):
     study_rates.print_rates()
+    study_boundaries.print_boundaries()
     printed = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| ")]
-    assert len(printed) > 30
+    assert len(printed) > 60
     text = (ROOT / "peri" / "README.md").read_text(encoding="utf-8")
     missing = [line for line in printed if line not in text]
     assert not missing
