@@ -256,8 +256,9 @@ class BiMaterial:
         active = np.zeros(self.box.padded_shape, bool)
         if complementary:
             active = (theta < 1.0) & (self.box_free_volume > 0)
-        total_iterations, settled, stall = 0, False, saturation.Stall()
-        for rounds in range(1, _MAXIMUM_ROUNDS + 1):
+        total_iterations, rounds, settled, stall = 0, 0, False, saturation.Stall()
+        while rounds < _MAXIMUM_ROUNDS:
+            rounds += 1
             volume_loss = self._settle_rate(state, theta, volume_loss, self.take(y))
             view = y[self.window]
             view[active[self.box.interior]] = saturated
