@@ -128,6 +128,7 @@ def corrosion_scene(
         influence=settings.influence,
         calibration=settings.calibration,
         saturation=settings.saturation,
+        dissolution=settings.dissolution,
     )
 
 

@@ -9,6 +9,7 @@ from pipeline.scene import (
     BOUNDARIES,
     CALIBRATIONS,
     DAMAGE_UPDATES,
+    DISSOLUTION_LAWS,
     DOMAIN_SHAPES,
     LATERAL,
     OMITTABLE,
@@ -59,6 +60,11 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
     corrosion.add_argument("--rate-change", type=float, metavar="X", help="step control")
     corrosion.add_argument("--scheme", metavar="S", help=", ".join(TIME_SCHEMES))
     corrosion.add_argument("--saturation", metavar="S", help=", ".join(SATURATIONS))
+    corrosion.add_argument(
+        "--dissolution",
+        metavar="LAW",
+        help=f"of a bond: {', '.join(DISSOLUTION_LAWS)} (proportional, as published)",
+    )
     corrosion.add_argument("--calibration", metavar="C", help=", ".join(CALIBRATIONS))
     corrosion.add_argument(
         "--tolerance",
@@ -119,6 +125,7 @@ def scene_from_options(options: argparse.Namespace) -> Scene:
     corrosion = given(
         scheme="scheme",
         saturation="saturation",
+        dissolution="dissolution",
         calibration="calibration",
         rate_change="rate_change",
         tolerance="tolerance",

@@ -299,6 +299,16 @@ def scene_omissions(scene: Scene) -> list[Omission]:
             "part of the scene",
         ),
     ]
+    if scene.corrosion.dissolution == "faradaic":
+        found.append(
+            Omission(
+                "the published law of a bond",
+                "a bond carries the whole flux until its metal node is empty (--dissolution "
+                "faradaic); published, and fitted with the parameter set, is a flux in proportion "
+                "to what the node still holds",
+                "an assumption (peri/README.md)",
+            )
+        )
     if scene.immersion[0].seconds == 0 and len(scene.immersion) == 1:
         found.append(Omission("corrosion", "only time zero is asked for", "none"))
     found += _tensile_departures(scene.tensile)

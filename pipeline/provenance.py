@@ -46,6 +46,7 @@ _TITLES = {
     "samples": "Samples per axis and cell",
     "size": "Edge length",
     "size_fine": "Edge length at thread and slot",
+    "dissolution": "Law of a bond between metal and liquid",
     "step": "Fixed time step",
     "rate_change": "Change of rate per time step",
     "peak_drop": "Ends at this drop from the peak",
@@ -83,7 +84,7 @@ def parameter_rows(scene: Scene) -> list[ParameterRow]:
     for alloy in scene.alloys:
         rows += _corrosion_rows(scene, alloy)
         rows += _mechanical_rows(alloy)
-    return rows + _calibration_rows(scene)
+    return rows + _law_rows(scene) + _calibration_rows(scene)
 
 
 def to_be_listed(rows: Iterable[ParameterRow]) -> list[ParameterRow]:
@@ -124,6 +125,19 @@ def _corrosion_rows(scene: Scene, alloy: AlloyScene) -> list[ParameterRow]:
             remark = f"from the composition: {corrected:,.0f} mol/m^3".replace(",", " ")
         rows.append(_row(place, item.name, value, known.get(item.name), remark))
     return rows
+
+
+def _law_rows(scene: Scene) -> list[ParameterRow]:
+    """The law of a bond where it is not the one that the parameter set was fitted with."""
+    law = scene.corrosion.dissolution
+    if law == "proportional":
+        return []
+    remark = (
+        "a bond carries the whole flux until its metal node is empty; D_int, C_sat and l were "
+        "fitted with a flux in proportion to what the node still holds"
+    )
+    title = _title("dissolution")
+    return [ParameterRow("Corrosion", "", title, "", law, "", "assumed", remark=remark)]
 
 
 def _fitted_quantities(scene: Scene, alloy: AlloyScene) -> tuple[dict[str, Quantity], float]:

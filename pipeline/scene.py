@@ -23,6 +23,7 @@ SCHEMA_VERSION = 1
 DOMAIN_SHAPES = ("cylinder", "ball")
 BOUNDARIES = ("refreshed", "no_flux")
 SATURATIONS = ("complementarity", "as_published", "none")
+DISSOLUTION_LAWS = ("proportional", "faradaic")
 OMITTABLE = ("liquid", "solid_core", "far_liquid")
 """What a march may leave out; named as in peri.corrosion.planning, which is slow to import."""
 
@@ -112,8 +113,9 @@ class DomainSettings:
 
 @dataclass(frozen=True)
 class CorrosionSettings:
-    """How the bi-material model is solved: time stepping, saturation, stencil constants.
+    """How the bi-material model is solved: law of a bond, time stepping, saturation, constants.
 
+    dissolution: what a bond between metal and liquid carries (peri.corrosion.scene).
     step: fixed time step (s); None lets rate_change control it (peri.marching.TimeStepping).
     tolerance: error of V_L, relative, up to which the march leaves out what the scene does not
     need (peri.corrosion.planning); keep: what to compute all the same.
@@ -123,6 +125,7 @@ class CorrosionSettings:
     step: float | None = None
     rate_change: float = 0.05
     saturation: str = "complementarity"
+    dissolution: str = "proportional"
     calibration: str = "discrete"
     influence: str = "constant"
     kernel_exponent: float = 0.0
@@ -138,6 +141,15 @@ class CorrosionSettings:
         _check(0 < self.rate_change <= 1, "rate change", self.rate_change, "in (0, 1]")
         _one_of("time scheme", self.scheme, TIME_SCHEMES)
         _one_of("saturation", self.saturation, SATURATIONS)
+        _one_of("dissolution", self.dissolution, DISSOLUTION_LAWS)
+        if self.saturation == "as_published":
+            implicit = "backward_euler or forward_euler where saturation is as_published"
+            _check(self.scheme != "sdirk2", "time scheme", self.scheme, implicit)
+        if self.dissolution == "faradaic":
+            bounded = "complementarity or none where dissolution is faradaic"
+            _check(self.saturation != "as_published", "saturation", self.saturation, bounded)
+            implicit = "sdirk2 or backward_euler where dissolution is faradaic"
+            _check(self.scheme != "forward_euler", "time scheme", self.scheme, implicit)
         _one_of("calibration", self.calibration, CALIBRATIONS)
         _one_of("influence function", self.influence, ("constant", "linear"))
         _check(0 <= self.kernel_exponent < 1, "kernel exponent", self.kernel_exponent, "in [0, 1)")

@@ -10,6 +10,7 @@ import pytest
 from pipeline.options import add_scene_options, scene_from_options
 from pipeline.scene import (
     DAMAGE_UPDATES,
+    DISSOLUTION_LAWS,
     OMITTABLE,
     AlloyScene,
     CorrosionParameters,
@@ -146,6 +147,13 @@ def test_unknown_missing_and_mistyped_fields_are_named(scene):
         (lambda: MeshSettings(1e-4, 2e-4), "fine mesh size is 200 um"),
         (lambda: CorrosionSettings(step=0.0), "corrosion step is 0.0"),
         (lambda: CorrosionSettings(saturation="maybe"), "saturation is 'maybe'"),
+        (lambda: CorrosionSettings(saturation="as_published"), "time scheme is sdirk2"),
+        (
+            lambda: CorrosionSettings(
+                "backward_euler", saturation="as_published", dissolution="faradaic"
+            ),
+            "saturation is as_published; it must be complementarity or none",
+        ),
         (lambda: TensileScene(final_strain=0.0), "final strain is 0.0"),
         (lambda: TensileScene(increment=0.5), "tensile increment is 0.5"),
         (lambda: DomainSettings(shape="cube"), "domain shape is 'cube'"),
@@ -209,9 +217,10 @@ def test_time_zero_is_added_in_front_for_the_strength_ratio(scene):
 
 
 def test_the_names_of_what_a_march_may_leave_out_are_those_of_peri():
-    from peri.corrosion import planning
+    from peri.corrosion import planning, scene
 
     assert OMITTABLE == planning.OMISSIONS
+    assert DISSOLUTION_LAWS == scene.DISSOLUTION_LAWS
     assert CorrosionSettings().tolerance == planning.DEFAULT_TOLERANCE
 
 
