@@ -90,7 +90,7 @@ def quick_stages() -> list[Result]:
     at = {(row.alloy, row.immersion_days): row for row in rows}
     for alloy in ALLOYS:
         results += [
-            Result(f"{alloy} intact peak force", at[alloy, 0.0].peak_force_N, "N", "300 to 700"),
+            Result(f"{alloy} intact peak force", at[alloy, 0.0].peak_reaction, "N", "300 to 700"),
             Result(f"{alloy} volume loss after 8 weeks", at[alloy, 56.0].volume_loss, "1"),
             Result(f"{alloy} strength ratio after 8 weeks", at[alloy, 56.0].strength_ratio, "1"),
             Result(f"{alloy} strength ratio after 24 weeks", at[alloy, 168.0].strength_ratio, "1"),

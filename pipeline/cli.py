@@ -388,15 +388,18 @@ def _print_summary(rows: list) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title="Residual strength")
+    from pipeline.loads import LOADS
+
+    names = LOADS[rows[0].load]
+    table = Table(title=f"Residual {names.strength}")
     for column in (
         "alloy",
         "immersion [d]",
         "volume loss [%]",
         "mean damage",
-        "peak force [N]",
+        f"peak {names.reaction} [{names.shown_unit}]",
         "strength ratio",
-        "elongation at peak",
+        f"{names.strain_title.lower()} at peak",
         "status",
     ):
         table.add_column(column, justify="left" if column in ("alloy", "status") else "right")
@@ -406,9 +409,9 @@ def _print_summary(rows: list) -> None:
             f"{row.immersion_days:g}",
             f"{100 * row.volume_loss:.2f}",
             f"{row.mean_corrosion_damage:.4f}",
-            f"{row.peak_force_N:.1f}",
+            f"{names.shown_factor * row.peak_reaction:.1f}",
             f"{row.strength_ratio:.3f}",
-            f"{row.elongation_at_peak:.4f}",
+            f"{row.strain_at_peak:.4f}",
             row.status,
         )
     console = Console(width=None if sys.stdout.isatty() else 120)

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from pipeline.loads import LOADS
 from pipeline.plan import scene_omissions
 from pipeline.resolution import RESOLUTIONS, CorrosionError, Resolution, TensileError
 from pipeline.resolve import DEFAULT_PARAMETER_SET
@@ -49,7 +50,7 @@ def checks(run: RunResults) -> list[dict[str, str]]:
     if known:
         worst, case = max(known)
         add(
-            "Energy balance of the tensile tests",
+            f"Energy balance of the {LOADS[run.scene.tensile.load].test}s",
             percent(worst, 2),
             f"largest difference, {case}: work of the grips against what is stored and dissipated",
         )
@@ -57,7 +58,7 @@ def checks(run: RunResults) -> list[dict[str, str]]:
 
 
 def _energy_gap(item: ImmersionResult) -> float | None:
-    """Largest |work - stored - dissipated| of a tensile test over its work; None if unknown."""
+    """Largest |work - stored - dissipated| of a test over its work; None if unknown."""
     work, stored, dissipated = (
         column(item.curve, name) for name in ("work", "stored", "dissipated")
     )
@@ -93,7 +94,7 @@ def _tensile_error(scene: Scene) -> TensileError | None:
     if preset is None or not (
         _alike(scene.mesh, preset, size="mesh_size", size_fine="mesh_size_fine")
         and _alike(scene.tensile, preset, element="element", increment="increment")
-        and _default(scene.tensile, "damage", "damage_length", "final_strain", "lateral")
+        and _default(scene.tensile, "damage", "damage_length", "final_strain", "lateral", "load")
     ):
         return None
     return preset.tensile_error
@@ -136,6 +137,11 @@ def _volume_loss_error(run: RunResults) -> str:
 
 def _strength_error(run: RunResults) -> str:
     known = _tensile_error(run.scene)
+    if run.scene.tensile.load != "axial":
+        return (
+            "The discretisation error of the strength left has been measured of tensile tests "
+            f"only, not of {LOADS[run.scene.tensile.load].test}s."
+        )
     if known is None:
         return (
             "The discretisation error of the strength left has not been measured for this mesh, "
@@ -217,7 +223,8 @@ def twice_as_sure(run: RunResults) -> str:
             "out."
         )
     return (
-        f"{lattice} Half the edge length of the mesh means 8 times the cells: tensile tests "
+        f"{lattice} Half the edge length of the mesh means 8 times the cells: "
+        f"{LOADS[run.scene.tensile.load].test}s "
         f"{pull} → {format_seconds(8 * pulls)} or more. No computation makes the assumed "
         "strengths of the alloys any surer: that takes a tensile test of the bar that the screw "
         "is cut from."

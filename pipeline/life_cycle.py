@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from pipeline import machine
+from pipeline.loads import LOADS
 from pipeline.progress import Progress
 from pipeline.run_folder import RunFolder, RunFolderError, StageRecord, utc_now
 from pipeline.scene import (
@@ -194,12 +195,14 @@ class LifeCycle:
         """Write summary.csv from the finished stages and return its rows."""
         rows = []
         intact = self.scene.with_intact()[0]
+        load = self.scene.tensile.load
+        peak, strain = f"peak_{LOADS[load].reaction}", LOADS[load].strain_at_peak
         for alloy in self.scene.alloys:
             corrosion = self._needs(
                 "corrode", self.folder.corrosion(alloy.name), corrosion_hash(self.scene, alloy.name)
             )
             losses = corrosion.numbers["volume_loss"]
-            reference = self._pulled(alloy.name, intact)["peak_force"]
+            reference = self._pulled(alloy.name, intact)[peak]
             for moment, loss in zip(self.scene.with_intact(), losses, strict=True):
                 if moment not in self.scene.immersion:
                     continue
@@ -212,10 +215,11 @@ class LifeCycle:
                         immersion_days=moment.days,
                         volume_loss=float(loss),
                         mean_corrosion_damage=float(mapped.numbers["mean_corrosion_damage"]),
-                        peak_force_N=pulled["peak_force"],
-                        strength_ratio=pulled["peak_force"] / reference,
-                        elongation_at_peak=pulled["elongation_at_peak"],
+                        peak_reaction=pulled[peak],
+                        strength_ratio=pulled[peak] / reference,
+                        strain_at_peak=pulled[strain],
                         status=pulled["status"],
+                        load=load,
                     )
                 )
         write_summary(self.folder.summary_file, rows)

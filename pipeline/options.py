@@ -4,6 +4,7 @@ import argparse
 import dataclasses
 from pathlib import Path
 
+from pipeline.loads import LOADS
 from pipeline.resolution import RESOLUTIONS
 from pipeline.scene import (
     BOUNDARIES,
@@ -21,7 +22,7 @@ from pipeline.scene import (
     SolidFile,
 )
 from pipeline.screw import THREADS, ScrewParameters
-from pipeline.units import METRES_PER, parse_length, parse_time
+from pipeline.units import METRES_PER, parse_angle, parse_length, parse_time
 
 _SCREW_LENGTHS = ("diameter", "length", "pitch", "slot_width", "slot_depth")
 
@@ -84,6 +85,14 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
     corrosion.add_argument("--radial-margin", metavar="LENGTH", help="liquid beside the solid")
     corrosion.add_argument("--axial-margin", metavar="LENGTH", help="liquid above and below it")
     tensile = parser.add_argument_group("tensile test, where the preset is not wanted")
+    tensile.add_argument(
+        "--load",
+        metavar="L",
+        help=f"{', '.join(LOADS)} (axial): the top grip is pulled, twisted or bent",
+    )
+    tensile.add_argument(
+        "--bending-azimuth", metavar="ANGLE", help="of the axis of bending from x, as 30deg (0deg)"
+    )
     tensile.add_argument("--mesh-size", metavar="LENGTH", help="edge length in the bulk")
     tensile.add_argument("--mesh-size-fine", metavar="LENGTH", help="at thread and slot")
     tensile.add_argument("--element", metavar="E")
@@ -141,7 +150,10 @@ def scene_from_options(options: argparse.Namespace) -> Scene:
         increment="increment",
         peak_drop="peak_drop",
         damage="damage",
+        load="load",
     )
+    if options.bending_azimuth is not None:
+        tensile["bending_azimuth"] = parse_angle(options.bending_azimuth, "bending azimuth")
     for name in ("bottom_grip", "top_grip", "damage_length"):
         if getattr(options, name) is not None:
             tensile[name] = length(name)

@@ -307,6 +307,7 @@ def write_overview(run: RunResults, pictures: dict[tuple[str, str, str], Path], 
     from matplotlib.colors import LinearSegmentedColormap, Normalize
     from matplotlib.figure import Figure
 
+    from pipeline.loads import LOADS
     from pipeline.plots import ALLOY_COLOURS, draw_strength
     from pipeline.units import parse_time
     from pipeline.wording import duration
@@ -353,7 +354,7 @@ def write_overview(run: RunResults, pictures: dict[tuple[str, str, str], Path], 
     if tested:
         axes = right.subplots()
         right.subplots_adjust(left=0.15, right=0.96, bottom=bottom, top=top)
-        draw_strength(axes, run.alloys, ALLOY_COLOURS)
+        draw_strength(axes, run.alloys, ALLOY_COLOURS, LOADS[run.scene.tensile.load])
         axes.set_xlim(left=0)
         axes.grid(color="#dddddd", lw=0.6)
         axes.spines[["top", "right"]].set_visible(False)

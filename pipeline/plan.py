@@ -12,6 +12,7 @@ from fem.quadrature import ELEMENTS
 from peri.influence import diffusion_stencil
 from pipeline import machine
 from pipeline.corrosion_stage import domain_lattice, liquid_domain, march_omissions
+from pipeline.loads import LOADS
 from pipeline.scene import Scene, SceneError, TensileScene
 from pipeline.surface import Solid
 from pipeline.units import format_bytes, format_length, format_seconds
@@ -143,7 +144,7 @@ def make_plan(
     tasks.append(
         Task(
             "pull",
-            f"{pulls} tensile tests, {at_once} at a time",
+            f"{pulls} {LOADS[scene.tensile.load].test}s, {at_once} at a time",
             f"{unknowns:,} unknowns each ({scene.tensile.element})",
             COST.tensile_seconds_per_unknown * unknowns * -(-pulls // at_once),
             at_once * (BASE_MEMORY + COST.tensile_bytes_per_unknown * unknowns),
@@ -314,11 +315,13 @@ def scene_omissions(scene: Scene) -> list[Omission]:
     found += _tensile_departures(scene.tensile)
     drop = scene.tensile.peak_drop
     if drop < 1:
+        names = LOADS[scene.tensile.load]
         found.append(
             Omission(
-                "the end of a force-elongation curve",
-                f"a test ends once the force is {100 * drop:g} % below its peak (--peak-drop)",
-                "none in peak force and elongation at peak",
+                f"the end of a {names.reaction}-{names.abscissa} curve",
+                f"a test ends once the {names.reaction} is {100 * drop:g} % below its peak "
+                "(--peak-drop)",
+                f"none in peak {names.reaction} and {names.strain_title.lower()} at peak",
             )
         )
     return found
@@ -333,6 +336,24 @@ def _tensile_departures(test: TensileScene) -> list[Omission]:
             "an assumption (fem/README.md)",
         )
     ]
+    names = LOADS[test.load]
+    if test.load != "axial":
+        found.append(
+            Omission(
+                f"{names.test} beyond a nominal strain of {100 * test.final_strain:g} %",
+                "angle times radius over length; further with --final-strain",
+                f"a {names.reaction} that still rises then counts as the peak",
+            )
+        )
+    if test.load != "axial" and ELEMENTS[test.element].order == 1:
+        found.append(
+            Omission(
+                "shear within a cell",
+                f"slender four-node cells ({test.element}) lock in shear, ten-node ones do not",
+                f"the {names.reaction} is too large: of a plastic bar in torsion by 59 % "
+                "with P1, 7 % with P1-Fbar (fem/README.md)",
+            )
+        )
     if test.damage != "implicit":
         each = "cell" if test.damage == "cell" else "quadrature point"
         found.append(

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from perilife_data import VolumeLossData
+from pipeline.loads import LOADS, LoadNames
 from pipeline.run_results import AlloyResult, column
 from pipeline.units import SECONDS_PER
 
@@ -100,15 +101,18 @@ def volume_loss_plot(
     return _svg(figure, "volume-loss", "Volume loss in per cent against immersion time")
 
 
-def strength_plot(alloys: Sequence[AlloyResult]) -> str:
-    """Peak force over that of the intact solid against immersion time, all alloys, as SVG."""
+def strength_plot(alloys: Sequence[AlloyResult], names: LoadNames = LOADS["axial"]) -> str:
+    """Peak over that of the intact solid against immersion time, all alloys, as SVG."""
     figure, axes = _figure()
-    draw_strength(axes, alloys, colours=_SERIES)
+    draw_strength(axes, alloys, colours=_SERIES, names=names)
     _finish(axes, zero=True, legend="upper right")
-    return _svg(figure, "strength", "Strength left in per cent against immersion time")
+    title = f"{_capital(names.strength)} left in per cent against immersion time"
+    return _svg(figure, "strength", title)
 
 
-def draw_strength(axes: Axes, alloys: Sequence[AlloyResult], colours: Sequence[str]) -> None:
+def draw_strength(
+    axes: Axes, alloys: Sequence[AlloyResult], colours: Sequence[str], names: LoadNames
+) -> None:
     """Draw strength left (%) against immersion time into `axes`; severed solids get a cross."""
     longest = max((i.seconds for a in alloys for i in a.immersions), default=1.0)
     second, unit = time_axis(longest)
@@ -135,32 +139,37 @@ def draw_strength(axes: Axes, alloys: Sequence[AlloyResult], colours: Sequence[s
             zorder=4,
         )
     _time_ticks(axes, unit)
-    axes.set_ylabel("Strength left (%)")
+    axes.set_ylabel(f"{_capital(names.strength)} left (%)")
     axes.set_ylim(0, max(105.0, axes.get_ylim()[1]))
 
 
-def force_elongation_plot(alloy: AlloyResult, name: str, most_force: float) -> str:
-    """Force-elongation curves of one alloy, one per immersion time, as SVG.
+def load_plot(alloy: AlloyResult, name: str, most: float, names: LoadNames = LOADS["axial"]) -> str:
+    """Force-elongation (torque-angle, moment-angle) curves of one alloy by immersion time, as SVG.
 
-    most_force: upper end of the force axis (N), so that the alloys' plots share one scale.
+    most: upper end of the force axis (SI), so that the alloys' plots share one scale.
     """
     figure, axes = _figure()
-    tested = [i for i in alloy.immersions if i.force is not None and i.elongation is not None]
+    tested = [i for i in alloy.immersions if i.reaction is not None and i.abscissa is not None]
     for n, item in enumerate(tested):
         shade = _RAMP[round(n * (TIME_RAMP - 1) / max(1, len(tested) - 1))]
-        strain, force = item.elongation, item.force
+        along, force = item.abscissa, names.shown_factor * item.reaction
         if len(force) == 0 or not np.any(force > 0):
             axes.plot([], [], color=shade, lw=1.8, label=f"{item.label}: carries nothing")
             continue
-        axes.plot(100 * strain, force, color=shade, lw=1.8, label=item.label)
+        axes.plot(along, force, color=shade, lw=1.8, label=item.label)
         peak = int(np.nanargmax(force))
-        axes.plot(100 * strain[peak], force[peak], "o", ms=4, color=shade)
-    axes.set_xlabel("Elongation (% of length)")
-    axes.set_ylabel("Force (N)")
-    axes.set_ylim(0, 1.05 * most_force)
+        axes.plot(along[peak], force[peak], "o", ms=4, color=shade)
+    axes.set_xlabel(names.abscissa_title)
+    axes.set_ylabel(f"{_capital(names.reaction)} ({names.shown_unit})")
+    axes.set_ylim(0, 1.05 * names.shown_factor * most)
     axes.set_xlim(left=0)
     _finish(axes, zero=False, legend="outside", columns=4)
-    return _svg(figure, f"curves-{name}", f"Force against elongation of {alloy.name}")
+    title = f"{_capital(names.reaction)} against {names.abscissa} of {alloy.name}"
+    return _svg(figure, f"curves-{name}", title)
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def _smooth(

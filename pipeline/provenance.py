@@ -12,6 +12,7 @@ from dataclasses import dataclass, fields
 import perilife_data
 from fem.constitutive.hardening import fit_voce
 from perilife_data import Quantity
+from pipeline.loads import LOADS
 from pipeline.scene import AlloyScene, Scene
 
 logger = logging.getLogger(__name__)
@@ -51,6 +52,7 @@ _TITLES = {
     "rate_change": "Change of rate per time step",
     "peak_drop": "Ends at this drop from the peak",
     "damage": "Growth of f",
+    "bending_azimuth": "Axis of bending from x",
     "damage_length": "Length over which the growth of f is averaged",
 }
 _LENGTHS = (
@@ -211,7 +213,7 @@ def settings(scene: Scene) -> dict[str, list[tuple[str, str]]]:
         "Liquid domain": scene.domain,
         "Corrosion solver": scene.corrosion,
         "Mesh": scene.mesh,
-        "Tensile test": scene.tensile,
+        LOADS[scene.tensile.load].test.capitalize(): scene.tensile,
     }
     found = {}
     for group, choices in groups.items():
@@ -303,7 +305,7 @@ def _shown(name: str, value: object) -> tuple[str, str]:
         return "0", ""
     if name in _LENGTHS:
         return (f"{value * 1e6:.4g}", "µm") if value < 1e-3 else (f"{value * 1e3:.4g}", "mm")
-    if name == "thread_angle":
+    if name in ("thread_angle", "bending_azimuth"):
         return f"{math.degrees(value):.4g}", "°"
     if name == "step":
         return f"{value / 3600:.4g}", "h"

@@ -22,6 +22,7 @@ from PIL import Image, features
 
 import perilife_data
 from pipeline import doubts, plots, provenance
+from pipeline.loads import LOADS, LoadNames
 from pipeline.machine import describe_machine, package_versions
 from pipeline.picture_set import PictureSet, make_pictures, times_shown
 from pipeline.pictures import DAMAGE_COLOURS, MAXIMUM_DAMAGE, write_overview
@@ -29,7 +30,7 @@ from pipeline.run_folder import REPORT_FILE, write_text
 from pipeline.run_results import AlloyResult, ImmersionResult, RunResults, read_run
 from pipeline.scene import ScrewGeometry
 from pipeline.units import format_bytes, format_length, format_seconds
-from pipeline.wording import duration, force, gathered, headline, percent, status_in_words
+from pipeline.wording import duration, gathered, headline, percent, status_in_words
 
 logger = logging.getLogger(__name__)
 
@@ -38,7 +39,7 @@ STAGE_TITLES = {
     "geometry": "Solid and mesh",
     "corrode": "Corrosion",
     "map": "Damage onto the mesh",
-    "pull": "Tensile tests",
+    "pull": "{test}s",
     "report": "Report",
 }
 
@@ -72,6 +73,7 @@ def write_report(run_folder: Path | str) -> Path:
     pictures = make_pictures(run)
     assumed = provenance.to_be_listed(rows)
     names = [alloy.name for alloy in run.alloys]
+    load = LOADS[run.scene.tensile.load]
     measured, measured_trouble = _measured(run)
     trouble = [*measured_trouble]
     if pictures.trouble:
@@ -90,13 +92,15 @@ def write_report(run_folder: Path | str) -> Path:
     page = environment.get_template("report.html.j2").render(
         title=" and ".join(names),
         solid=_solid_in_words(run),
-        headlines=[headline(alloy) for alloy in run.alloys],
+        load=load,
+        final_strain=percent(run.scene.tensile.final_strain),
+        headlines=[headline(alloy, load) for alloy in run.alloys],
         parameter_set=_parameter_set(run),
         preset=doubts.settings_name(run.scene),
         table=[_table_row(a, i) for a in run.alloys for i in a.immersions if i.summary],
         pictures=_pictures(run, pictures),
         damage_ramp=_damage_ramp(),
-        plots=_plots(run, measured),
+        plots=_plots(run, measured, load),
         measured=sorted(measured),
         checks=doubts.checks(run),
         error_estimate=doubts.error_estimate(run),
@@ -159,11 +163,11 @@ def _table_row(alloy: AlloyResult, item: ImmersionResult) -> dict[str, object]:
         "time": duration(item.seconds),
         "volume_loss": _or_dash(row.volume_loss, lambda v: percent(v, 1)),
         "damage": _or_dash(row.mean_corrosion_damage, lambda v: f"{v:.3f}"),
-        "force": _or_dash(row.peak_force_N, force),
+        "peak": _or_dash(row.peak_reaction, item.names.shown),
         "ratio": _or_dash(row.strength_ratio, percent),
         "bar": 0.0 if ratio is None else 100.0 * min(max(ratio, 0.0), 1.0),
-        "elongation": _or_dash(row.elongation_at_peak, lambda v: percent(v, 1)) if ratio else "–",
-        "status": status_in_words(row.status),
+        "strain": _or_dash(row.strain_at_peak, lambda v: percent(v, 1)) if ratio else "–",
+        "status": status_in_words(row.status, item.names),
     }
 
 
@@ -207,7 +211,7 @@ def _caption(item: ImmersionResult) -> str:
     if item.strength_ratio is None:
         return ""
     if item.strength_ratio == 0.0 and item.summary:
-        return status_in_words(item.summary.status)
+        return status_in_words(item.summary.status, item.names)
     return f"{percent(item.strength_ratio)} left"
 
 
@@ -240,17 +244,17 @@ def _measured(run: RunResults) -> tuple[dict, list[str]]:
     return found, trouble
 
 
-def _plots(run: RunResults, measured: dict) -> dict[str, object]:
-    tested = [a for a in run.alloys if any(i.force is not None for i in a.immersions)]
-    forces = [i.force for a in run.alloys for i in a.immersions if i.force is not None]
+def _plots(run: RunResults, measured: dict, load: LoadNames) -> dict[str, object]:
+    tested = [a for a in run.alloys if any(i.reaction is not None for i in a.immersions)]
+    forces = [i.reaction for a in run.alloys for i in a.immersions if i.reaction is not None]
     most = max((float(np.nanmax(f)) for f in forces if len(f)), default=0.0)
     corroded = [a for a in run.alloys if a.history or any(i.summary for i in a.immersions)]
     ratios = [i for a in run.alloys for i in a.immersions if i.strength_ratio is not None]
     return {
-        "strength": Markup(plots.strength_plot(run.alloys)) if ratios else "",
+        "strength": Markup(plots.strength_plot(run.alloys, load)) if ratios else "",
         "volume_loss": Markup(plots.volume_loss_plot(run.alloys, measured)) if corroded else "",
         "curves": [
-            (a.name, Markup(plots.force_elongation_plot(a, f"{n}", most or 1.0)))
+            (a.name, Markup(plots.load_plot(a, f"{n}", most or 1.0, load)))
             for n, a in enumerate(tested)
         ],
     }
@@ -298,10 +302,11 @@ def _difference(title: str, value: object, reference: object) -> list[tuple[str,
 
 
 def _stage_times(run: RunResults) -> list[tuple[str, str, str]]:
-    rows = []
+    rows, load = [], LOADS[run.scene.tensile.load]
     for stage, title in STAGE_TITLES.items():
         seconds = [record.seconds for _, record in run.records if record.stage == stage]
         if seconds:
+            title = title.format(test=load.test.capitalize())
             rows.append((title, str(len(seconds)), format_seconds(sum(seconds))))
     total = sum(record.seconds for _, record in run.records)
     return [*rows, ("Sum", "", format_seconds(total))] if rows else []

@@ -65,6 +65,11 @@ def resolve_scene(
         "increment": preset.increment,
         "top_grip": slot_depth(geometry),
     }
+    load = (tensile or {}).get("load", "axial")
+    if load != "axial":
+        defaults["lateral"] = "clamped"
+    if load == "bending":
+        defaults["bending_azimuth"] = 0.0
     size = preset.mesh_size if mesh_size is None else mesh_size
     fine = preset.mesh_size_fine if mesh_size_fine is None else mesh_size_fine
     if mesh_size_fine is None and mesh_size is not None:

@@ -14,6 +14,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.loads import LOADS, LoadNames
 from pipeline.run_folder import RunFolder, StageRecord
 from pipeline.scene import Scene, scene_from_json
 from pipeline.summary import SummaryRow, read_summary
@@ -39,27 +40,34 @@ class ImmersionResult:
     damage: NDArray[np.float64] | None = None
     tensile: dict = field(default_factory=dict)
     map_numbers: dict = field(default_factory=dict)
+    load: str = "axial"
 
     @property
-    def elongation(self) -> NDArray[np.float64] | None:
-        """Nominal strain (n,) of the tensile test."""
-        return column(self.curve, "elongation")
+    def names(self) -> LoadNames:
+        """What the results of the load are called."""
+        return LOADS[self.load]
 
     @property
-    def force(self) -> NDArray[np.float64] | None:
-        """Force (n,) of the tensile test, N."""
-        return column(self.curve, "force")
+    def abscissa(self) -> NDArray[np.float64] | None:
+        """What the curve is drawn against, (n,): elongation in per cent, or angle in degrees."""
+        values = column(self.curve, self.names.abscissa)
+        return None if values is None else self.names.abscissa_factor * values
+
+    @property
+    def reaction(self) -> NDArray[np.float64] | None:
+        """Force [N], torque or moment [N m] of the test, (n,)."""
+        return column(self.curve, self.names.reaction)
 
     @property
     def strength_ratio(self) -> float | None:
-        """Peak force over that of the intact solid; None where there is no tensile test.
+        """Peak over that of the intact solid; None where there is no tensile test.
 
         Time zero has no row in the table where it was only pulled for the sake of the ratio.
         """
         if self.summary is not None:
             ratio = self.summary.strength_ratio
             return ratio if np.isfinite(ratio) else None
-        return 1.0 if self.seconds == 0 and self.force is not None else None
+        return 1.0 if self.seconds == 0 and self.reaction is not None else None
 
 
 @dataclass(frozen=True)
@@ -151,6 +159,7 @@ def _read_summary(path: Path, missing: list[str]) -> list[SummaryRow]:
 def _read_alloy(
     folder: RunFolder, scene: Scene, name: str, summary: list[SummaryRow], missing: list[str]
 ) -> AlloyResult:
+    names = LOADS[scene.tensile.load]
     history = _read_columns(folder.corrosion(name) / "history.csv")
     if not history:
         missing.append(f"the course of corrosion of {name} (corrosion/history.csv)")
@@ -161,8 +170,8 @@ def _read_alloy(
         damage = _read_damage(place / "damage.h5")
         if damage is None:
             missing.append(f"the damage map of {name} after {time.label}")
-        if column(curve, "elongation") is None or column(curve, "force") is None:
-            missing.append(f"the tensile test of {name} after {time.label}")
+        if column(curve, names.abscissa) is None or column(curve, names.reaction) is None:
+            missing.append(f"the {names.test} of {name} after {time.label}")
         rows = [
             row
             for row in summary
@@ -170,7 +179,7 @@ def _read_alloy(
         ]
         tensile = _read_json(place / "tensile.json")
         if str(tensile.get("status", "")).startswith("stopped"):
-            missing.append(f"the end of the tensile test of {name} after {time.label}")
+            missing.append(f"the end of the {names.test} of {name} after {time.label}")
         record = folder.read_record(place, "map")
         immersions.append(
             ImmersionResult(
@@ -181,6 +190,7 @@ def _read_alloy(
                 damage=damage,
                 tensile=tensile,
                 map_numbers=dict(record.numbers) if record else {},
+                load=scene.tensile.load,
             )
         )
     corrosion = folder.read_record(folder.corrosion(name), "corrode")

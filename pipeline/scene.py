@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 
 from fem.quadrature import ELEMENTS
 from peri.marching import SCHEMES as TIME_SCHEMES
+from pipeline.loads import LOADS
 from pipeline.machine import version
 from pipeline.screw import ScrewParameters
 from pipeline.units import ImmersionTime, format_length
@@ -252,12 +253,16 @@ class MeshSettings:
 
 @dataclass(frozen=True)
 class TensileScene:
-    """The tensile test: element, nominal strain at the end, largest increment, grips.
+    """The mechanical test: load, element, nominal strain at the end, largest increment, grips.
 
+    load: the top grip is pulled ("axial"), turned about the axis ("torsion") or about a lateral
+    axis ("bending") at the angle bending_azimuth (rad) from x, None where nothing is bent; nominal
+    strain is then that of the surface, angle times radius over length, and the grips hold fully.
     bottom_grip, top_grip: held lengths at the ends (m), 0 holds the end faces only; lateral:
-    whether grips leave lateral motion free; peak_drop: the test ends when the force has fallen
-    by this fraction below its peak, or at the final strain; 1 asks for the whole curve; damage,
-    damage_length: how f grows and over which length (m) its growth is averaged (fem.settings).
+    whether grips leave lateral motion free; peak_drop: the test ends when the force (torque,
+    moment) has fallen by this fraction below its peak, or at the final strain; 1 asks for the
+    whole curve; damage, damage_length: how f grows and over which length (m) its growth is
+    averaged (fem.settings).
     """
 
     element: str = "P2"
@@ -269,10 +274,27 @@ class TensileScene:
     peak_drop: float = 0.05
     damage: str = "cell"
     damage_length: float = 0.0
+    load: str = "axial"
+    bending_azimuth: float | None = None
 
     def __post_init__(self) -> None:
         _one_of("element", self.element, tuple(ELEMENTS))
         _one_of("lateral", self.lateral, LATERAL)
+        _one_of("load", self.load, tuple(LOADS))
+        _check(
+            self.load == "axial" or self.lateral == "clamped",
+            "lateral",
+            f"'{self.lateral}'",
+            f"clamped where the load is {self.load}, which only grips that hold fully can apply",
+        )
+        azimuth = self.bending_azimuth
+        _check(
+            azimuth is None or self.load == "bending",
+            "bending azimuth",
+            f"{azimuth} rad",
+            f"left out where the load is {self.load}",
+        )
+        _check(azimuth is None or math.isfinite(azimuth), "bending azimuth", azimuth, "finite")
         _one_of("damage", self.damage, DAMAGE_UPDATES)
         _check(0 < self.peak_drop <= 1, "peak drop", self.peak_drop, "in (0, 1]")
         _check(

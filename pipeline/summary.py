@@ -2,9 +2,10 @@
 
 import csv
 import io
-from dataclasses import astuple, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
+from pipeline.loads import LOADS
 from pipeline.run_folder import write_text
 
 
@@ -13,30 +14,44 @@ class SummaryRow:
     """One alloy after one immersion time.
 
     volume_loss: V_L of the lattice, by mass, in [0, 1]; mean_corrosion_damage: volume mean of
-    f0 over the mesh; strength_ratio: peak force over that of the same alloy at time zero;
-    elongation_at_peak: nominal strain; status: how the tensile test ended.
+    f0 over the mesh; peak_reaction: largest force (N), torque or moment (N m), as `load` says;
+    strength_ratio: that over the one of the same alloy at time zero; strain_at_peak: nominal;
+    status: how the tensile test ended.
     """
 
     alloy: str
     immersion_days: float
     volume_loss: float
     mean_corrosion_damage: float
-    peak_force_N: float
+    peak_reaction: float
     strength_ratio: float
-    elongation_at_peak: float
+    strain_at_peak: float
     status: str
+    load: str = "axial"
 
 
-COLUMNS = tuple(f.name for f in fields(SummaryRow))
+def columns(load: str) -> dict[str, str]:
+    """Column of summary.csv by field of a row; those of the peak are named by the load."""
+    names = LOADS[load]
+    same = ("alloy", "immersion_days", "volume_loss", "mean_corrosion_damage")
+    return {
+        **{name: name for name in same},
+        "peak_reaction": names.peak,
+        "strength_ratio": "strength_ratio",
+        "strain_at_peak": names.strain_at_peak,
+        "status": "status",
+    }
 
 
 def write_summary(path: Path, rows: list[SummaryRow]) -> None:
-    """Write the rows as CSV with a header line, in one step."""
+    """Write the rows, all of one load, as CSV with a header line, in one step."""
+    named = columns(rows[0].load if rows else "axial")
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(COLUMNS)
+    writer.writerow(named.values())
     for row in rows:
-        writer.writerow([f"{v:.10g}" if isinstance(v, float) else v for v in astuple(row)])
+        values = [getattr(row, field) for field in named]
+        writer.writerow([f"{v:.10g}" if isinstance(v, float) else v for v in values])
     write_text(path, buffer.getvalue())
 
 
@@ -44,9 +59,18 @@ def read_summary(path: Path) -> list[SummaryRow]:
     """Read rows that `write_summary` wrote; ValueError when the columns are others."""
     with open(path, encoding="utf-8", newline="") as handle:
         reader = csv.DictReader(handle)
-        if tuple(reader.fieldnames or ()) != COLUMNS:
-            raise ValueError(f"columns of '{path}' are not {', '.join(COLUMNS)}")
+        found = tuple(reader.fieldnames or ())
+        load = next((load for load in LOADS if tuple(columns(load).values()) == found), None)
+        if load is None:
+            expected = ", ".join(columns("axial").values())
+            raise ValueError(f"columns of '{path}' are not {expected}")
         return [
-            SummaryRow(**{k: v if k in ("alloy", "status") else float(v) for k, v in row.items()})
+            SummaryRow(
+                **{
+                    field: row[name] if field in ("alloy", "status") else float(row[name])
+                    for field, name in columns(load).items()
+                },
+                load=load,
+            )
             for row in reader
         ]

@@ -1,5 +1,7 @@
 """The tensile stage: one job file in, force-elongation curve out, in a process of its own.
 
+Torsion and bending likewise: torque or moment against angle.
+
 `perilife` starts `python -m pipeline.tensile_stage JOB.json` per pull (under `mpirun -n NP`
 when NP > 1), so that a crash or the memory of one test never touches the others.
 """
@@ -18,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.loads import LOADS
 from pipeline.machine import child_environment, mpirun, processor_cores
 from pipeline.map_stage import DAMAGE_FILE, read_damage
 from pipeline.mesh import read_mesh
@@ -36,7 +39,7 @@ CHECKPOINT_SECONDS = 30.0
 SERIES_EVERY = 4
 """Increments from one file of the ParaView series to the next."""
 
-_ORDER = ("force", "iterations", "halvings", "work", "stored", "dissipated")
+_ORDER = ("force", "torque", "moment", "iterations", "halvings", "work", "stored", "dissipated")
 
 logger = logging.getLogger(__name__)
 
@@ -115,6 +118,8 @@ def run_job(job: TensileJob, comm: object = None) -> None:
         peak_drop=test.peak_drop,
         damage=test.damage,
         damage_length=test.damage_length,
+        load=test.load,
+        bending_azimuth=test.bending_azimuth or 0.0,
         grips=Grips(test.bottom_grip, test.top_grip, test.lateral),
         threads=int(os.environ.get("NUMBA_NUM_THREADS", "0")) or None,
     )
@@ -145,7 +150,7 @@ def run_job(job: TensileJob, comm: object = None) -> None:
     else:
         result = pull(None)
     if root:
-        _write_result(out, result)
+        _write_result(out, result, test.load)
         _write_picture(out, mesh, damage, result)
         checkpoint.unlink(missing_ok=True)
 
@@ -170,26 +175,31 @@ def _orphaned() -> bool:
     return parent is not None and not Path("/proc", parent).exists() and Path("/proc/1").exists()
 
 
-def _write_result(out: Path, result: object) -> None:
-    """tensile.csv: one row per point of the curve; tensile.json: what follows from it."""
-    history = result.history or {"elongation": result.elongation, "force": result.force}
-    strain = history["elongation"] / result.length
-    columns = {"elongation": strain, "displacement_m": history["elongation"]}
-    units = {"force": "force_N", "work": "work_J", "stored": "stored_J"}
-    units |= {"dissipated": "dissipated_J", "seconds": "seconds_s"}
+def _write_result(out: Path, result: object, load: str) -> None:
+    """tensile.csv: one row per point of the curve; tensile.json: what follows from it, SI."""
+    names, motion, reaction = LOADS[load], result.load.motion, result.load.reaction
+    history = result.history or {motion: result.motion, reaction: result.reaction}
+    strain = history[motion] / result.load.extent
+    units = {"elongation": "displacement_m", "angle": "angle_rad", "force": "force_N"}
+    units |= {"torque": "torque_N_m", "moment": "moment_N_m", "work": "work_J"}
+    units |= {"stored": "stored_J", "dissipated": "dissipated_J", "seconds": "seconds_s"}
+    columns = {names.strain: strain, units[motion]: history[motion]}
     # a resumed test has its quantities in another order; the file has not
-    names = sorted(history, key=lambda k: (_ORDER.index(k) if k in _ORDER else len(_ORDER), k))
-    columns |= {units.get(k, k): history[k] for k in names if k != "elongation"}
+    ordered = sorted(history, key=lambda k: (_ORDER.index(k) if k in _ORDER else len(_ORDER), k))
+    columns |= {units.get(k, k): history[k] for k in ordered if k != motion}
     lines = [",".join(columns)]
     for row in zip(*columns.values(), strict=True):
         lines.append(",".join(f"{value:.10g}" for value in row))
     write_text(out / CURVE_FILE, "\n".join(lines) + "\n")
     counts = ("cells", "dead_cells", "loose_cells", "loose_pieces", "lost_cells")
+    turned = {} if load == "axial" else {"angle_at_peak": float(result.motion_at_peak)}
     write_json(
         out / RESULT_FILE,
         {
-            "peak_force": float(result.peak_force),
-            "elongation_at_peak": float(result.elongation_at_peak / result.length),
+            "load": load,
+            f"peak_{reaction}": float(result.peak_reaction),
+            names.strain_at_peak: float(result.motion_at_peak / result.load.extent),
+            **turned,
             "status": result.status,
             "length": float(result.length),
             "increments": len(strain) - 1,

@@ -10,6 +10,9 @@ SECONDS_PER = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "w": 604800.0}
 METRES_PER = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "inch": 0.0254}
 """Length units accepted for solids from a file and their length in metres."""
 
+RADIANS_PER = {"deg": math.pi / 180.0, "rad": 1.0}
+"""Angle units accepted on the command line and their size in radians."""
+
 _TIME = re.compile(r"([+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)\s*([a-zA-Z]*)")
 
 
@@ -102,6 +105,20 @@ def format_length(value: float) -> str:
 
 
 _LENGTH = re.compile(r"([+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)\s*([a-zA-Z]+)?")
+
+
+def parse_angle(text: str, field: str = "angle") -> float:
+    """Read an angle such as `30deg` or `0.5rad` and return radians.
+
+    Raises ValueError with one sentence when the number or the unit is missing or wrong.
+    """
+    match = _LENGTH.fullmatch(text.strip())
+    if match is None or match.group(2) not in RADIANS_PER:
+        raise ValueError(
+            f"{field} '{text}' is not understood; give a number and a unit out of "
+            f"{', '.join(RADIANS_PER)}, for example 30deg"
+        )
+    return float(match.group(1)) * RADIANS_PER[match.group(2)]
 
 
 def parse_length(text: str, field: str = "length") -> float:

@@ -3,42 +3,41 @@
 import math
 from collections.abc import Iterable
 
+from pipeline.loads import LOADS, LoadNames
 from pipeline.run_results import AlloyResult, column
 
 STATUS_WORDS = {
-    "completed": "pulled to the end",
-    "past_peak": "pulled past its peak",
+    "completed": "{done} to the end",
+    "past_peak": "{done} past its peak",
     "severed": "severed: carries nothing",
     "fully_corroded": "fully corroded",
 }
 
 
-def headline(alloy: AlloyResult) -> str:
+def headline(alloy: AlloyResult, names: LoadNames = LOADS["axial"]) -> str:
     """The answer for one alloy in one sentence, from what was tested."""
     tested = [i for i in alloy.immersions if i.strength_ratio is not None]
     immersed = [i for i in tested if i.seconds > 0]
     if not immersed:
         intact = [i for i in tested if i.seconds == 0]
         if intact and intact[0].summary:
-            most = intact[0].summary.peak_force_N
-            return (
-                f"{alloy.name} was tested only before immersion; the intact solid carries "
-                f"{force(most)}."
-            )
+            most = names.shown(intact[0].summary.peak_reaction)
+            when = "was tested only before immersion"
+            return f"{alloy.name} {when}; the intact solid carries {most}."
         loss = column(alloy.history, "volume_loss")
         lost = ""
         if loss is not None and alloy.immersions:
             lost = f"; it lost {percent(loss[-1], 1)} of its volume in {_last_time(alloy)}"
-        return f"No tensile test of {alloy.name} is in this run{lost}."
+        return f"No {names.test} of {alloy.name} is in this run{lost}."
     last = immersed[-1]
     halfway = [i for i in immersed[:-1] if i.strength_ratio > 0.0]
     parts = []
     if halfway:
         middle = min(halfway, key=lambda i: abs(math.log(i.seconds / (last.seconds / 3.0))))
         kept = percent(middle.strength_ratio)
-        parts.append(f"{kept} of its strength after {duration(middle.seconds)}")
+        parts.append(f"{kept} of its {names.strength} after {duration(middle.seconds)}")
     gone = [i for i in immersed if i.strength_ratio == 0.0]
-    share = "" if parts else " of its strength"
+    share = "" if parts else f" of its {names.strength}"
     if gone:
         ending = f"none{share} after {duration(gone[0].seconds)}, when it no longer holds together"
     else:
@@ -86,14 +85,10 @@ def percent(fraction: float, digits: int = 0) -> str:
     return f"{value:.{digits}f} %"
 
 
-def force(newton: float) -> str:
-    """A force for a reader, whole newtons."""
-    return f"{newton:.0f} N" if newton >= 10 else f"{newton:.2g} N"
-
-
-def status_in_words(text: str) -> str:
-    """How a tensile test ended, for a reader."""
-    return STATUS_WORDS.get(text, text.replace("_", " "))
+def status_in_words(text: str, names: LoadNames = LOADS["axial"]) -> str:
+    """How a test ended, for a reader."""
+    known = STATUS_WORDS.get(text)
+    return text.replace("_", " ") if known is None else known.format(done=names.done)
 
 
 def gathered(sentences: Iterable[str]) -> list[str]:

@@ -17,6 +17,7 @@ from PIL import Image
 
 from pipeline import doubts, picture_set, pictures, plots, provenance, report, wording
 from pipeline.damage_map import compare_lost_volume
+from pipeline.loads import LOADS
 from pipeline.resolution import RESOLUTIONS
 from pipeline.resolve import resolve_scene
 from pipeline.run_folder import RunFolder, StageRecord
@@ -113,6 +114,11 @@ def write_run(path, scene, points, cells):
             force = 500 * ratio * (1 - np.exp(-60 * strain)) * (1 - strain)
             work = np.cumsum(force) * 2e-5
             columns = {"elongation": strain, "displacement_m": 4e-3 * strain, "force_N": force}
+            if scene.tensile.load != "axial":
+                force *= 2e-4
+                names = LOADS[scene.tensile.load]
+                reaction = f"{names.reaction}_{names.unit}"
+                columns = {"strain": strain, "angle_rad": 4 * strain, reaction: force}
             energy = {"work_J": work, "stored_J": 0.2 * work, "dissipated_J": 0.798 * work}
             write_csv(place / "tensile.csv", columns | energy)
             status = "severed" if ratio == 0 else "completed"
@@ -128,6 +134,7 @@ def write_run(path, scene, points, cells):
                     ratio,
                     0.045 if ratio else 0.0,
                     status,
+                    scene.tensile.load,
                 )
             )
     write_summary(folder.summary_file, rows)
@@ -289,6 +296,36 @@ def test_values_of_the_alloys_stand_side_by_side():
     assert [r.values for r in found["S"]] == [("1", "2"), ("–", "3")]
     assert found["S"][0].remark == "A: low; B: high; x"
     assert found["T"][0].values == ("1",) and found["T"][0].remark == "y"
+
+
+@pytest.mark.parametrize(
+    ("load", "reaction", "done"), [("torsion", "torque", "twisted"), ("bending", "moment", "bent")]
+)
+def test_a_turned_solid_is_reported_in_words_and_units_of_its_load(tmp_path, load, reaction, done):
+    scene = scene_of(alloys=("Mg-5Gd",), weeks=("0w", "8w"), tensile={"load": load})
+    path = write_run(tmp_path / "run", scene, *pin_mesh(spacing=1e-3))
+    (path / "geometry" / "mesh.h5").unlink()  # no pictures
+    header = (path / "summary.csv").read_text().splitlines()[0]
+    assert f"peak_{reaction}_N_m,strength_ratio,strain_at_peak" in header
+    page, text = page_of(path)
+    assert f"71 % of its strength in {load} after 8 weeks" in page.sections["header"]
+    assert f"the largest {reaction} it bears up to 10 % nominal strain" in page.sections["header"]
+    table = " ".join(page.sections["table"].split())
+    # 500 (1 - exp(-60 e)) (1 - e) is largest at e = 0.065, 458 N; times 0.2 mm, in N mm
+    assert (
+        "92 N mm" in table and f"Peak{reaction}" in table and f"{load.capitalize()} test" in table
+    )
+    assert f"{done} to the end" in table
+    curves = page.sections["curves"]
+    assert f"{reaction} against angle" in curves
+    assert "Angle (°)" in text and f"{reaction.capitalize()} (N mm)" in text
+    assert f"Strength in {load} left (%)" in text
+    sure, settings = page.sections["sure"], page.sections["parameters"]
+    assert f"has been measured of tensile tests only, not of {load} tests" in sure
+    assert not re.search(r"strength left is off|of the strength left \d", text)
+    assert ("Axis of bending from x" in settings) == (load == "bending")
+    for section in ("header", "table", "curves"):
+        assert not re.search("tensile|force|elongation|pull", page.sections[section], re.IGNORECASE)
 
 
 def test_missing_parts_are_said(tmp_path, mesh):

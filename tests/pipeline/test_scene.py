@@ -7,6 +7,7 @@ import re
 
 import pytest
 
+from pipeline.loads import LOADS
 from pipeline.options import add_scene_options, scene_from_options
 from pipeline.scene import (
     DAMAGE_UPDATES,
@@ -38,6 +39,7 @@ from pipeline.units import (
     parse_immersion_times,
     parse_time,
 )
+from tests.fem.meshes import box
 
 
 def _alloy(name: str = "Mg-A") -> AlloyScene:
@@ -248,9 +250,10 @@ def test_a_growth_of_f_that_cannot_be_computed_is_refused(fields, sentence):
         TensileScene(**fields)
 
 
-def test_a_scene_of_an_earlier_version_has_the_default_growth_of_f(scene):
+def test_a_scene_of_an_earlier_version_is_pulled_with_the_default_growth_of_f(scene):
     content = scene.to_json()
-    del content["tensile"]["damage"], content["tensile"]["damage_length"]
+    for name in ("damage", "damage_length", "load", "bending_azimuth"):
+        del content["tensile"][name]
     assert scene_from_json(content) == scene
 
 
@@ -262,3 +265,36 @@ def test_the_growth_of_f_comes_from_the_command_line():
     assert (tensile.damage, tensile.damage_length) == ("cell", pytest.approx(1e-4))
     with pytest.raises(SceneError, match="damage is implicit; it must be cell"):
         scene_from_options(parser.parse_args([*words, "implicit"]))
+
+
+def test_the_loads_are_those_of_fem_and_called_as_there():
+    from fem import loading, settings
+    from fem.solid import Held
+
+    assert tuple(LOADS) == loading.LOADS
+    assert TensileScene().load == settings.TensileSettings().load
+    points, cells = box((1, 1, 1), (1e-3, 1e-3, 1e-3))
+    for name, names in LOADS.items():
+        load = loading.make_load(name, 0.0, points, cells, Held(0.0, 1e-3, 1e-3))
+        assert names.reaction == load.reaction and names.unit == load.unit.replace(" ", "_")
+        assert names.abscissa == load.motion
+
+
+def test_the_load_comes_from_the_command_line_and_only_the_test_depends_on_it():
+    parser = argparse.ArgumentParser()
+    add_scene_options(parser)
+
+    def scene_of(*words: str) -> Scene:
+        given = ["--alloy", "Mg-5Gd", "--immersion", "8w", *words]
+        return scene_from_options(parser.parse_args(given))
+
+    pulled, bent = scene_of(), scene_of("--load", "bending", "--bending-azimuth", "30deg")
+    assert (pulled.tensile.load, pulled.tensile.bending_azimuth) == ("axial", None)
+    assert (bent.tensile.load, bent.tensile.lateral) == ("bending", "clamped")
+    assert bent.tensile.bending_azimuth == pytest.approx(0.5235987755982988, rel=1e-15)
+    assert scene_of("--load", "bending").tensile.bending_azimuth == 0.0
+    assert scene_of("--load", "torsion").tensile.bending_azimuth is None
+    assert scene_from_json(bent.to_json()) == bent
+    time = bent.immersion[0]
+    assert map_hash(bent, "Mg-5Gd", time) == map_hash(pulled, "Mg-5Gd", time)
+    assert pull_hash(bent, "Mg-5Gd", time) != pull_hash(pulled, "Mg-5Gd", time)

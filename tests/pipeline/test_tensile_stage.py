@@ -1,5 +1,7 @@
 """A pull in its folder: what it writes, and how an interrupted one goes on."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -78,6 +80,34 @@ def test_an_interrupted_pull_goes_on_where_it_was(job, tmp_path, monkeypatch):
     again = np.loadtxt(tmp_path / "tensile.csv", delimiter=",", skiprows=1)
     assert again[:, :3] == pytest.approx(curve[:, :3], rel=1e-6)
     assert not (tmp_path / CHECKPOINT_FILE).exists()
+
+
+@pytest.mark.parametrize(
+    ("load", "azimuth", "reaction"), [("torsion", None, "torque"), ("bending", 0.5, "moment")]
+)
+def test_a_turned_solid_leaves_torque_or_moment_against_angle(
+    job, tmp_path, load, azimuth, reaction
+):
+    test = TensileScene(
+        "P1-Fbar", 0.03, lateral="clamped", load=load, bending_azimuth=azimuth, damage="cell"
+    )
+    job = replace(job, tensile=test)
+    assert TensileJob.read(job.write()) == job
+    run_job(job)
+    found = read_result(tmp_path)
+    curve = np.genfromtxt(tmp_path / "tensile.csv", delimiter=",", names=True)
+    assert curve.dtype.names[:3] == ("strain", "angle_rad", f"{reaction}_N_m")
+    # angle = strain * length / radius, 2 mm over half the diagonal of the square
+    np.testing.assert_allclose(curve["angle_rad"], curve["strain"] * 2 * 2**0.5, rtol=1e-9)
+    assert found["load"] == load and "peak_force" not in found
+    # the largest, at the end: the metal still hardens
+    assert found[f"peak_{reaction}"] == pytest.approx(curve[f"{reaction}_N_m"][-1], rel=1e-9)
+    assert found["angle_at_peak"] == pytest.approx(0.03 * 2 * 2**0.5, rel=1e-9)
+    assert found["strain_at_peak"] == pytest.approx(0.03, rel=1e-12)
+    # yield stress times section modulus, elastic to fully plastic: 0.208 to 0.333 mm^3 (over
+    # sqrt(3)) in torsion, about 0.167 to 0.25 mm^3 in bending, that is 16 to 25 and 22 to 33 N mm;
+    # few cells across are too strong: measured 32.7 and 40.7 N mm
+    assert 0.02 < found[f"peak_{reaction}"] < 0.045
 
 
 def test_a_checkpoint_that_is_none_starts_the_pull_anew(job, tmp_path):
