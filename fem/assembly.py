@@ -1,10 +1,12 @@
 """Internal force and consistent stiffness of all cells, material update included (Numba).
 
 Total Lagrangian weak form sum_q V_q P : grad v with P = tau F^-T; stiffness from
-d(P) F^T = d(tau) - tau l^T, so K_ab = sum_q V_q g_a . (c - tau (x) 1) . g_b with spatial gradients
-g. With mean dilatation (F-bar, de Souza Neto et al. 1996; patches of tetrahedra, 2005) F is scaled
-by r = (Jm/J)^(1/3), Jm the mean of J over the group (cell or patch); the stress is that of the
-scaled F, and the tangent has one term more, which couples all nodes of the group.
+d(P) F^T = d(tau) - tau l^T, which is C : d - tau d - d tau + l tau with the tangent C of the
+corotational rate and l = d + w. So K = sum_q V_q (B^T D B + g_a . tau g_b 1) with spatial gradients
+g, B that makes d of them, and D = C - tau d - d tau, (6, 6). With mean dilatation (F-bar, de Souza
+Neto et al. 1996; patches of tetrahedra, 2005) F is scaled by r = (Jm/J)^(1/3), Jm the mean of J
+over the group (cell or patch); the stress is that of the scaled F, and the tangent has one term
+more, which couples all nodes of the group.
 """
 
 from __future__ import annotations
@@ -14,8 +16,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from fem.constitutive.compiled import kernel
 from fem.constitutive.hencky import invert
 from fem.constitutive.material import Material, update_point
 from fem.discretisation import Discretisation
@@ -83,7 +85,7 @@ class Assembler:
         )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _assemble_groups(
     first, last, largest, stiffness, averaged, mesh, groups, old, new, law, target
 ):
@@ -91,26 +93,22 @@ def _assemble_groups(
     cells, owned, alive, gradients, volumes, displacement = mesh
     cell_start, node_start, group_nodes, place = groups
     nn, nq = cells.shape[1], gradients.shape[1]
-    small, dyad, tangent = np.empty((5, 3, 3)), np.empty((2, 9, 9)), np.empty((9, 9))
-    stress, scaled = np.empty((3, 3)), np.empty((3, 3))
-    deformation, inverse = np.empty((largest[0], nq, 3, 3)), np.empty((3, 3))
-    jacobian, spatial = np.empty((largest[0], nq)), np.empty((largest[0], nq, nn, 3))
-    mean_gradient, extra = np.zeros((largest[1], 3)), np.empty((nn, 3))
-    local_force, local = np.empty((largest[1], 3)), np.empty((3 * largest[1], 3 * largest[1]))
+    scratch, tangent = np.empty((13, 6)), np.empty((6, 6))
+    deformation, jacobian = np.empty((largest[0], nq, 9)), np.empty((largest[0], nq))
+    spatial = np.empty((largest[0], nq, 3 * nn))
+    mean_gradient, extra = np.zeros(3 * largest[1]), np.empty(3 * largest[1])
+    rates, block, initial = np.zeros((6, 3 * nn)), np.empty((3 * nn, 3 * nn)), np.empty((nn, nn))
+    local_force, local = np.empty(3 * largest[1]), np.empty((3 * largest[1], 3 * largest[1]))
     failed, stored, dissipated = 0.0, 0.0, 0.0
     for g in range(first, last):
         start, stop = cell_start[g], cell_start[g + 1]
         nodes = node_start[g + 1] - node_start[g]
-        wrong, mean, volume = _kinematics(
-            start, stop, mesh, deformation, inverse, jacobian, spatial
-        )
+        wrong, mean, volume = _kinematics(start, stop, mesh, deformation, jacobian, spatial)
         if volume == 0.0 or wrong > 0.0:
             failed += wrong
             _keep(start, stop, nq, old, new)
             continue
-        for a in range(nodes):
-            for i in range(3):
-                mean_gradient[a, i] = local_force[a, i] = 0.0
+        mean_gradient[: 3 * nodes] = extra[: 3 * nodes] = local_force[: 3 * nodes] = 0.0
         if averaged and stiffness:
             for c in range(start, stop):
                 if not alive[c]:
@@ -119,25 +117,27 @@ def _assemble_groups(
                     part = volumes[c, q] * jacobian[c - start, q] / (mean * volume)
                     for a in range(nn):
                         for i in range(3):
-                            mean_gradient[place[c, a], i] += part * spatial[c - start, q, a, i]
+                            at = 3 * place[c, a] + i
+                            mean_gradient[at] += part * spatial[c - start, q, 3 * a + i]
         if stiffness:
             local[: 3 * nodes, : 3 * nodes] = 0.0
         for c in range(start, stop):
             if not alive[c]:
                 _keep(c, c + 1, nq, old, new)
                 continue
+            if stiffness:
+                block[:], initial[:] = 0.0, 0.0
             for q in range(nq):
                 ratio = 1.0
                 if averaged:
                     ratio = (mean / jacobian[c - start, q]) ** (1.0 / 3.0)
-                for i in range(3):
-                    for j in range(3):
-                        scaled[i, j] = ratio * deformation[c - start, q, i, j]
                 weight = volumes[c, q] / ratio**3
-                ok, strain, damage, energy, work, mises, pressure = update_point(
-                    scaled, old[0][c, q], old[1][c, q], old[2][c, q], law[0], law[1], law[2],
-                    stiffness, stress, tangent, new[0][c, q], small, dyad,
+                ok, stress, plastic, strain, damage, energy, work, mises, pressure = update_point(
+                    _scaled(deformation, c - start, q, ratio), _six(old[0], c, q), old[1][c, q],
+                    old[2][c, q], law[0], law[1], law[2], stiffness, tangent, scratch,
                 )  # fmt: skip
+                for k in range(6):
+                    new[0][c, q, k] = plastic[k]
                 new[1][c, q], new[2][c, q], new[3][c, q], new[4][c, q] = (
                     strain, damage, mises, pressure,
                 )  # fmt: skip
@@ -146,22 +146,45 @@ def _assemble_groups(
                         failed += 1.0
                     stored += volumes[c, q] * energy
                     dissipated += volumes[c, q] * work
-                for a in range(nn):
-                    for i in range(3):
-                        value = 0.0
-                        for j in range(3):
-                            value += stress[i, j] * spatial[c - start, q, a, j]
-                        local_force[place[c, a], i] += weight * value
+                gradient = spatial[c - start, q]
+                _add_force(weight, stress, gradient, place[c], stiffness, local_force, initial)
                 if stiffness:
-                    _add_stiffness(
-                        weight, averaged, nodes, place[c], spatial[c - start, q], mean_gradient,
-                        stress, tangent, extra, local,
-                    )  # fmt: skip
+                    if averaged:
+                        _mean_dilatation(weight, stress, gradient, place[c], tangent, extra)
+                    _add_stiffness(weight, stress, tangent, gradient, rates, block)
+            if stiffness:
+                _place_block(place[c], block, initial, local)
+        if averaged and stiffness:
+            for row in range(3 * nodes):
+                for column in range(3 * nodes):
+                    local[row, column] += extra[row] * mean_gradient[column]
         _scatter(g, nodes, group_nodes[node_start[g] :], stiffness, local_force, local, target)
     return failed, stored, dissipated
 
 
-@njit(cache=True, nogil=True)
+@kernel
+def _scaled(deformation, c, q, ratio):
+    return (
+        ratio * deformation[c, q, 0], ratio * deformation[c, q, 1], ratio * deformation[c, q, 2],
+        ratio * deformation[c, q, 3], ratio * deformation[c, q, 4], ratio * deformation[c, q, 5],
+        ratio * deformation[c, q, 6], ratio * deformation[c, q, 7], ratio * deformation[c, q, 8],
+    )  # fmt: skip
+
+
+@kernel
+def _three(gradient, a):
+    return gradient[3 * a], gradient[3 * a + 1], gradient[3 * a + 2]
+
+
+@kernel
+def _six(tensors, c, q):
+    return (
+        tensors[c, q, 0], tensors[c, q, 1], tensors[c, q, 2],
+        tensors[c, q, 3], tensors[c, q, 4], tensors[c, q, 5],
+    )  # fmt: skip
+
+
+@kernel
 def _keep(start, stop, nq, old, new):
     """New state = old state, without stress, for cells that are not evaluated."""
     for c in range(start, stop):
@@ -172,8 +195,8 @@ def _keep(start, stop, nq, old, new):
             new[3][c, q] = new[4][c, q] = 0.0
 
 
-@njit(cache=True, nogil=True)
-def _kinematics(start, stop, mesh, deformation, inverse, jacobian, spatial):
+@kernel
+def _kinematics(start, stop, mesh, deformation, jacobian, spatial):
     """Fill F, J and spatial gradients; return (inverted owned points, mean J, volume)."""
     cells, owned, alive, gradients, volumes, displacement = mesh
     nn, nq = cells.shape[1], gradients.shape[1]
@@ -182,26 +205,27 @@ def _kinematics(start, stop, mesh, deformation, inverse, jacobian, spatial):
         if not alive[c]:
             continue
         for q in range(nq):
-            target = deformation[c - start, q]
-            for i in range(3):
-                for j in range(3):
-                    target[i, j] = 1.0 if i == j else 0.0
+            f00 = f11 = f22 = 1.0
+            f01 = f02 = f10 = f12 = f20 = f21 = 0.0
             for a in range(nn):
                 node = cells[c, a]
-                for i in range(3):
-                    for j in range(3):
-                        target[i, j] += displacement[node, i] * gradients[c, q, a, j]
-            value = invert(target, inverse)
+                u, v, w = displacement[node, 0], displacement[node, 1], displacement[node, 2]
+                x, y, z = gradients[c, q, a, 0], gradients[c, q, a, 1], gradients[c, q, a, 2]
+                f00, f01, f02 = f00 + u * x, f01 + u * y, f02 + u * z
+                f10, f11, f12 = f10 + v * x, f11 + v * y, f12 + v * z
+                f20, f21, f22 = f20 + w * x, f21 + w * y, f22 + w * z
+            all_nine = (f00, f01, f02, f10, f11, f12, f20, f21, f22)
+            for k in range(9):
+                deformation[c - start, q, k] = all_nine[k]
+            value, (i00, i01, i02, i10, i11, i12, i20, i21, i22) = invert(all_nine)
             jacobian[c - start, q] = value
             if not value > 0.0:
                 wrong += 1.0 if owned[c] else 1e-9
             for a in range(nn):
-                for i in range(3):
-                    spatial[c - start, q, a, i] = (
-                        inverse[0, i] * gradients[c, q, a, 0]
-                        + inverse[1, i] * gradients[c, q, a, 1]
-                        + inverse[2, i] * gradients[c, q, a, 2]
-                    )
+                x, y, z = gradients[c, q, a, 0], gradients[c, q, a, 1], gradients[c, q, a, 2]
+                spatial[c - start, q, 3 * a] = i00 * x + i10 * y + i20 * z
+                spatial[c - start, q, 3 * a + 1] = i01 * x + i11 * y + i21 * z
+                spatial[c - start, q, 3 * a + 2] = i02 * x + i12 * y + i22 * z
             volume += volumes[c, q]
             total += volumes[c, q] * value
     if volume > 0.0:
@@ -209,65 +233,120 @@ def _kinematics(start, stop, mesh, deformation, inverse, jacobian, spatial):
     return wrong, total, volume
 
 
-@njit(cache=True, nogil=True)
-def _add_stiffness(
-    weight, averaged, nodes, place, spatial, mean_gradient, stress, tangent, extra, local
-):
-    """Add one point: g_a . (c - tau (x) 1) . g_b; F-bar adds (c:1/3 - tau) g_a (x) (gm_b - g_b)."""
-    nn = place.size
-    if averaged:
-        for a in range(nn):
-            for i in range(3):
-                value = 0.0
-                for j in range(3):
-                    k = 3 * i + j
-                    third = (tangent[k, 0] + tangent[k, 4] + tangent[k, 8]) / 3.0
-                    value += (third - stress[i, j]) * spatial[a, j]
-                extra[a, i] = weight * value
-    for i in range(3):
-        for j in range(3):
-            for m in range(3):
-                tangent[3 * i + j, 3 * j + m] -= stress[i, m]
-    for a in range(nn):
-        row = 3 * place[a]
-        x, y, z = weight * spatial[a, 0], weight * spatial[a, 1], weight * spatial[a, 2]
+@kernel
+def _add_force(weight, stress, gradient, place, stiffness, force, initial):
+    """Add one point's tau g_a to the force and g_a . tau g_b to the initial stiffness."""
+    s00, s11, s22, s01, s02, s12 = stress
+    for a in range(place.size):
+        x, y, z = _three(gradient, a)
+        u = weight * (s00 * x + s01 * y + s02 * z)
+        v = weight * (s01 * x + s11 * y + s12 * z)
+        w = weight * (s02 * x + s12 * y + s22 * z)
+        force[3 * place[a]] += u
+        force[3 * place[a] + 1] += v
+        force[3 * place[a] + 2] += w
+        if stiffness:
+            for b in range(place.size):
+                x, y, z = _three(gradient, b)
+                initial[a, b] += u * x + v * y + w * z
+
+
+@kernel
+def _mean_dilatation(weight, stress, gradient, place, tangent, extra):
+    """F-bar adds X g_a (x) (gm_b - g_b) with X = C:1/3 - tau: add X g_a and subtract X (x) 1."""
+    t00, t11, t22, t01, t02, t12 = _thirds(tangent, stress)
+    for a in range(place.size):
+        x, y, z = _three(gradient, a)
+        extra[3 * place[a]] += weight * (t00 * x + t01 * y + t02 * z)
+        extra[3 * place[a] + 1] += weight * (t01 * x + t11 * y + t12 * z)
+        extra[3 * place[a] + 2] += weight * (t02 * x + t12 * y + t22 * z)
+    for j in range(3):
+        tangent[0, j] -= t00
+        tangent[1, j] -= t11
+        tangent[2, j] -= t22
+        tangent[3, j] -= t01
+        tangent[4, j] -= t02
+        tangent[5, j] -= t12
+
+
+@kernel
+def _thirds(c, stress):
+    return (
+        (c[0, 0] + c[0, 1] + c[0, 2]) / 3.0 - stress[0],
+        (c[1, 0] + c[1, 1] + c[1, 2]) / 3.0 - stress[1],
+        (c[2, 0] + c[2, 1] + c[2, 2]) / 3.0 - stress[2],
+        (c[3, 0] + c[3, 1] + c[3, 2]) / 3.0 - stress[3],
+        (c[4, 0] + c[4, 1] + c[4, 2]) / 3.0 - stress[4],
+        (c[5, 0] + c[5, 1] + c[5, 2]) / 3.0 - stress[5],
+    )
+
+
+@kernel
+def _add_stiffness(weight, stress, tangent, gradient, rates, block):
+    """Add one point's B^T (C - tau d - d tau) B; `rates` is B (6, 3 nn), its zeros in place."""
+    s00, s11, s22, s01, s02, s12 = stress
+    columns = gradient.size
+    for at in range(0, columns, 3):
+        x, y, z = gradient[at], gradient[at + 1], gradient[at + 2]
+        rates[0, at] = rates[3, at + 1] = rates[4, at + 2] = x
+        rates[1, at + 1] = rates[3, at] = rates[5, at + 2] = y
+        rates[2, at + 2] = rates[4, at] = rates[5, at + 1] = z
+    tangent[0, 0] -= 2.0 * s00
+    tangent[1, 1] -= 2.0 * s11
+    tangent[2, 2] -= 2.0 * s22
+    tangent[3, 3] -= 0.5 * (s00 + s11)
+    tangent[4, 4] -= 0.5 * (s00 + s22)
+    tangent[5, 5] -= 0.5 * (s11 + s22)
+    for i, j, value in (
+        (0, 3, s01), (0, 4, s02), (1, 3, s01), (1, 5, s12), (2, 4, s02), (2, 5, s12),
+        (3, 4, 0.5 * s12), (3, 5, 0.5 * s02), (4, 5, 0.5 * s01),
+    ):  # fmt: skip
+        tangent[i, j] -= value
+        tangent[j, i] -= value
+    for at in range(0, columns, 3):
+        x, y, z = weight * gradient[at], weight * gradient[at + 1], weight * gradient[at + 2]
         for i in range(3):
-            # t_kl = g_a,j A_ijkl: nine numbers, then one dot product per neighbour
-            t0 = x * tangent[3 * i, 0] + y * tangent[3 * i + 1, 0] + z * tangent[3 * i + 2, 0]
-            t1 = x * tangent[3 * i, 1] + y * tangent[3 * i + 1, 1] + z * tangent[3 * i + 2, 1]
-            t2 = x * tangent[3 * i, 2] + y * tangent[3 * i + 1, 2] + z * tangent[3 * i + 2, 2]
-            t3 = x * tangent[3 * i, 3] + y * tangent[3 * i + 1, 3] + z * tangent[3 * i + 2, 3]
-            t4 = x * tangent[3 * i, 4] + y * tangent[3 * i + 1, 4] + z * tangent[3 * i + 2, 4]
-            t5 = x * tangent[3 * i, 5] + y * tangent[3 * i + 1, 5] + z * tangent[3 * i + 2, 5]
-            t6 = x * tangent[3 * i, 6] + y * tangent[3 * i + 1, 6] + z * tangent[3 * i + 2, 6]
-            t7 = x * tangent[3 * i, 7] + y * tangent[3 * i + 1, 7] + z * tangent[3 * i + 2, 7]
-            t8 = x * tangent[3 * i, 8] + y * tangent[3 * i + 1, 8] + z * tangent[3 * i + 2, 8]
-            for b in range(nn):
-                column = 3 * place[b]
-                u, v, w = spatial[b, 0], spatial[b, 1], spatial[b, 2]
-                local[row + i, column] += t0 * u + t1 * v + t2 * w
-                local[row + i, column + 1] += t3 * u + t4 * v + t5 * w
-                local[row + i, column + 2] += t6 * u + t7 * v + t8 * w
-    if averaged:
-        for a in range(nn):
+            k0 = i
+            # row i of B_a^T C
+            if i == 0:
+                p, q, r, k1, k2 = x, y, z, 3, 4
+            elif i == 1:
+                p, q, r, k1, k2 = y, x, z, 3, 5
+            else:
+                p, q, r, k1, k2 = z, x, y, 4, 5
+            t0 = p * tangent[k0, 0] + q * tangent[k1, 0] + r * tangent[k2, 0]
+            t1 = p * tangent[k0, 1] + q * tangent[k1, 1] + r * tangent[k2, 1]
+            t2 = p * tangent[k0, 2] + q * tangent[k1, 2] + r * tangent[k2, 2]
+            t3 = p * tangent[k0, 3] + q * tangent[k1, 3] + r * tangent[k2, 3]
+            t4 = p * tangent[k0, 4] + q * tangent[k1, 4] + r * tangent[k2, 4]
+            t5 = p * tangent[k0, 5] + q * tangent[k1, 5] + r * tangent[k2, 5]
+            for j in range(columns):
+                block[at + i, j] += (
+                    t0 * rates[0, j] + t1 * rates[1, j] + t2 * rates[2, j]
+                    + t3 * rates[3, j] + t4 * rates[4, j] + t5 * rates[5, j]
+                )  # fmt: skip
+
+
+@kernel
+def _place_block(place, block, initial, local):
+    """Add a cell's stiffness to that of its group."""
+    for a in range(place.size):
+        for b in range(place.size):
+            row, column = 3 * place[a], 3 * place[b]
             for i in range(3):
-                row, value = 3 * place[a] + i, extra[a, i]
-                for b in range(nodes):
-                    for k in range(3):
-                        local[row, 3 * b + k] += value * mean_gradient[b, k]
-                for b in range(nn):
-                    for k in range(3):
-                        local[row, 3 * place[b] + k] -= value * spatial[b, k]
+                for k in range(3):
+                    local[row + i, column + k] += block[3 * a + i, 3 * b + k]
+                local[row + i, column + i] += initial[a, b]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _scatter(group, nodes, group_nodes, stiffness, local_force, local, target):
     """Add a group's force and stiffness to those of the rank."""
     owned_nodes, row_start, pair_start, position, force, values = target
     for a in range(nodes):
         row = group_nodes[a]
         for i in range(3):
-            force[row, i] += local_force[a, i]
+            force[row, i] += local_force[3 * a + i]
         if not stiffness or row >= owned_nodes:
             continue
         start, width = row_start[row], 3 * (row_start[row + 1] - row_start[row])
@@ -279,7 +358,7 @@ def _scatter(group, nodes, group_nodes, stiffness, local_force, local, target):
                     values[at + k] += local[3 * a + i, 3 * b + k]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def multiply(row_start, columns, values, vector, result):
     """result = K vector on the owned rows; vector (n, 3) holds ghosts, result (owned, 3)."""
     for row in range(row_start.size - 1):
@@ -294,7 +373,7 @@ def multiply(row_start, columns, values, vector, result):
             result[row, i] = total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def multiply_transposed(row_start, columns, values, vector, result):
     """result += K^T vector over the owned rows; vector (n, 3), mostly zero, result (n, 3)."""
     for row in range(row_start.size - 1):
@@ -309,7 +388,7 @@ def multiply_transposed(row_start, columns, values, vector, result):
                     result[node, k] += values[at + 3 * block + k] * vector[row, i]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def constrain(row_start, columns, values, fixed, scale):
     """Replace rows and columns of fixed unknowns (n, 3 bool) by `scale` on the diagonal."""
     for row in range(row_start.size - 1):

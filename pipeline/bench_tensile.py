@@ -43,11 +43,11 @@ def _updates(count: int, damage: float, target: str | None) -> list[Result]:
     material = Material(43e9, 0.3, fit_voce(130e6, 220e6, 0.19))
     random = np.random.default_rng(0)
     # 1 % of strain in every direction: three times the strain at yield
-    gradients = np.eye(3) + 0.01 * random.standard_normal((count, 3, 3))
+    gradients = np.eye(3).ravel() + 0.01 * random.standard_normal((count, 9))
     old = (identity_plastic((count,)), np.zeros(count), np.full(count, damage))
     law = (material.parameters(), material.hardening.kind, material.hardening.parameters())
     new = (
-        np.empty((count, 3, 3)), np.empty((count, 9, 9)), np.empty((count, 6)), np.empty(count),
+        np.empty((count, 6)), np.empty((count, 6, 6)), np.empty((count, 6)), np.empty(count),
         np.empty(count),
     )  # fmt: skip
     failed = np.zeros(threads, int)

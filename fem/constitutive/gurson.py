@@ -28,8 +28,8 @@ from __future__ import annotations
 from math import erf
 
 import numpy as np
-from numba import njit
 
+from fem.constitutive.compiled import kernel
 from fem.constitutive.hardening import flow_stress
 
 # indices of the parameter vector of the kernels
@@ -40,9 +40,10 @@ RESIDUAL_STRENGTH = 1e-2
 _MAX_ARGUMENT = 200.0
 _NEWTON_ITERATIONS = 25
 _BISECTIONS = 200
+_START_ITERATIONS = 6
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def effective_damage(damage: float, material: np.ndarray) -> tuple[float, float]:
     """Return f*(f) and its slope: f up to coalescence, faster after it."""
     onset = material[COALESCENCE]
@@ -51,7 +52,7 @@ def effective_damage(damage: float, material: np.ndarray) -> tuple[float, float]
     return onset + material[ACCELERATION] * (damage - onset), material[ACCELERATION]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def yield_function(
     mises: float, pressure: float, flow: float, damage: float, material: np.ndarray
 ) -> float:
@@ -63,20 +64,24 @@ def yield_function(
     return (mises / flow) ** 2 + 4.0 * material[Q1] * effective * np.sinh(half) ** 2 - strength
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _system(a, beta, volume, mises, jacobian, strain, damage, material, kind, hardening):
     """Residuals, their derivatives by (a, beta, volume, mises), new plastic strain and f."""
-    shear, q1, q2 = material[SHEAR], material[Q1], material[Q2]
-    deviatoric = (1.0 - beta) * mises / (3.0 * shear)
-    step = np.sqrt(deviatoric**2 + 2.0 / 9.0 * a * a)
-    e_a, e_d = 0.0, 0.0
-    if step > 0.0:
-        e_a, e_d = 2.0 / 9.0 * a / step, deviatoric / step
-    e_b, e_q = -e_d * mises / (3.0 * shear), e_d * (1.0 - beta) / (3.0 * shear)
+    q1, q2, q3 = material[Q1], material[Q2], material[Q3]
+    keep = 1.0 - beta
+    per_shear = 1.0 / material[SHEAR]
+    per_mises = keep * per_shear / 3.0  # plastic deviatoric strain over trial stress
+    deviatoric = per_mises * mises
+    step = np.sqrt(deviatoric * deviatoric + 2.0 / 9.0 * a * a)
+    per_step = 1.0 / step if step > 0.0 else 0.0
+    e_a, e_d = 2.0 / 9.0 * a * per_step, deviatoric * per_step
+    e_b, e_q = -e_d * mises * per_shear / 3.0, e_d * per_mises
     flow, slope = flow_stress(kind, hardening, strain + step)
     flow *= jacobian
     slope *= jacobian
-    s_a, s_b, s_q = slope * e_a, slope * e_b, slope * e_q
+    per_flow = 1.0 / flow
+    # s_x: logarithmic derivatives of the flow stress S
+    s_a, s_b, s_q = slope * per_flow * e_a, slope * per_flow * e_b, slope * per_flow * e_q
 
     shrink = np.expm1(-a)
     remaining = (1.0 - damage) * (1.0 + shrink)
@@ -99,48 +104,42 @@ def _system(a, beta, volume, mises, jacobian, strain, damage, material, kind, ha
         g, g_f = effective_damage(f, material)
     g_a, g_b, g_q = g_f * f_a, g_f * f_b, g_f * f_q
 
-    bulk = material[BULK]
-    h = 1.5 * q2 * bulk * (volume - a) / flow
+    per_volume = 1.5 * q2 * material[BULK] * per_flow
+    h = per_volume * (volume - a)
     h = min(max(h, -_MAX_ARGUMENT), _MAX_ARGUMENT)
-    h_a = -1.5 * q2 * bulk / flow - h * s_a / flow
-    h_b, h_q = -h * s_b / flow, -h * s_q / flow
-    h_v = 1.5 * q2 * bulk / flow - h
+    h_a, h_b, h_q, h_v = -per_volume - h * s_a, -h * s_b, -h * s_q, per_volume - h
     grown = np.expm1(0.5 * abs(h))
     half = 0.5 * (grown + grown / (1.0 + grown))  # sinh(|h| / 2)
     sinh, cosh = 2.0 * half * (1.0 + grown - half), 1.0 + 2.0 * half * half
     if h < 0.0:
         sinh = -sinh
 
-    factor = 0.5 * q1 * q2 / shear
-    keep = 1.0 - beta
-    drive = g * flow * sinh
-    d_a = g_a * flow * sinh + g * s_a * sinh + g * flow * cosh * h_a
-    d_b = g_b * flow * sinh + g * s_b * sinh + g * flow * cosh * h_b
-    d_q = g_q * flow * sinh + g * s_q * sinh + g * flow * cosh * h_q
-    d_v = drive + g * flow * cosh * h_v
-    r1 = a * beta - factor * keep * drive
-    r1_a = beta - factor * keep * d_a
-    r1_b = a + factor * drive - factor * keep * d_b
-    r1_v, r1_q = -factor * keep * d_v, -factor * keep * d_q
+    factor = 0.5 * q1 * q2 * flow * per_shear
+    drive, open_g, open_h = factor * g * sinh, factor * sinh, factor * g * cosh
+    r1 = a * beta - keep * drive
+    r1_a = beta - keep * (open_g * g_a + drive * s_a + open_h * h_a)
+    r1_b = a + drive - keep * (open_g * g_b + drive * s_b + open_h * h_b)
+    r1_q = -keep * (open_g * g_q + drive * s_q + open_h * h_q)
+    r1_v = -keep * (drive + open_h * h_v)
 
-    ratio = beta * mises / flow
-    strength = 1.0 - 2.0 * q1 * g + material[Q3] * g * g
-    by_g = 4.0 * q1 * half * half + 2.0 * q1 - 2.0 * material[Q3] * g
+    ratio = beta * mises * per_flow
+    square = 2.0 * ratio * ratio
+    strength = 1.0 - 2.0 * q1 * g + q3 * g * g
+    by_g = 4.0 * q1 * half * half + 2.0 * q1 - 2.0 * q3 * g
     by_h = 2.0 * q1 * g * sinh
-    r2 = ratio**2 + 4.0 * q1 * g * half * half - strength
-    r2_a = -2.0 * ratio**2 * s_a / flow + by_g * g_a + by_h * h_a
-    r2_b = 2.0 * ratio * (mises - ratio * s_b) / flow + by_g * g_b + by_h * h_b
-    r2_v = -2.0 * ratio**2 + by_h * h_v
-    r2_q = 2.0 * ratio * (beta - ratio * s_q) / flow + by_g * g_q + by_h * h_q
-    scale1 = abs(a * beta) + abs(factor * keep * drive)
+    r2 = ratio * ratio + 4.0 * q1 * g * half * half - strength
+    r2_a = by_g * g_a + by_h * h_a - square * s_a
+    r2_b = by_g * g_b + by_h * h_b - square * s_b + 2.0 * ratio * mises * per_flow
+    r2_q = by_g * g_q + by_h * h_q - square * s_q + 2.0 * ratio * beta * per_flow
+    r2_v = by_h * h_v - square
     return (
         (r1, r1_a, r1_b, r1_v, r1_q),
         (r2, r2_a, r2_b, r2_v, r2_q),
-        (strain + step, f, flow, scale1, strength),
+        (strain + step, f, flow, abs(a * beta) + abs(keep * drive), strength),
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _bracketed(volume, mises, jacobian, strain, damage, material, kind, hardening):
     """Solve by nested bisection: beta from R2 at given a, a from R1. Never leaves the range.
 
@@ -198,29 +197,69 @@ def _bracketed(volume, mises, jacobian, strain, damage, material, kind, hardenin
     return a, beta
 
 
-@njit(cache=True, nogil=True)
-def _start(volume, mises, jacobian, strain, damage, material, kind, hardening):
-    """First guess: no volume change if the trial pressure allows it, else radial shrinkage."""
-    flow, _ = flow_stress(kind, hardening, strain)
-    flow *= jacobian
+@kernel
+def _start(volume, mises, flow, slope, damage, material):
+    """First guess, on the yield surface of frozen strength and f.
+
+    The surface is beta q_trial / S = r cos(phi), sinh(|h|/2) = r/r_h sin(phi) with
+    r^2 = 1 - 2 q1 f* + q3 f*^2 and r_h^2 = 4 q1 f*; R1 falls from phi = 0 to pi/2 and is solved in
+    t = tan(phi/2) by Newton within brackets, to the few digits that the frozen strength is worth.
+    flow, slope: S and its derivative by plastic strain at the start of the step.
+    """
+    q1, q2, shear = material[Q1], material[Q2], material[SHEAR]
     g, _ = effective_damage(damage, material)
-    strength = 1.0 - 2.0 * material[Q1] * g + material[Q3] * g * g
-    h = min(max(1.5 * material[Q2] * material[BULK] * volume / flow, -100.0), 100.0)
-    left = strength - 4.0 * material[Q1] * g * np.sinh(0.5 * h) ** 2
-    if left > 0.05 * strength and mises > 0.0:
-        return 0.0, min(1.0, np.sqrt(left) * flow / mises)
-    k = 1.0
-    for _ in range(60):
-        half = np.sinh(0.5 * k * h)
-        value = (k * mises / flow) ** 2 + 4.0 * material[Q1] * g * half * half - strength
-        slope = 2.0 * k * (mises / flow) ** 2 + 2.0 * material[Q1] * g * h * np.sinh(k * h)
-        if slope <= 0.0 or value <= 1e-3 * strength:
+    strength = 1.0 - 2.0 * q1 * g + material[Q3] * g * g
+    radius = np.sqrt(strength)
+    excess = mises - radius * flow
+    if excess > 0.0:  # radial return of the deviator, for the strength at the end of the step
+        flow += slope * excess / (3.0 * shear + slope)
+    if g <= 0.0:
+        return 0.0, min(1.0, flow / mises)
+    reach = np.sqrt(strength / (4.0 * q1 * g))
+    size = abs(volume)
+    per_h = flow / (1.5 * q2 * material[BULK])
+    kappa = 0.5 * q1 * q2 * g * flow / shear
+    ratio = radius * flow / mises if mises > 1e-9 * flow else 1e9 * radius
+    low, high = 0.0, 1.0
+    if ratio > 1.0:  # beta <= 1
+        low = np.sqrt((ratio - 1.0) / (ratio + 1.0))
+    t, beta, change = 0.5 * (low + high), 0.0, 0.0
+    for _ in range(_START_ITERATIONS):
+        over = 1.0 / (1.0 + t * t)
+        cosine, sine = (1.0 - t * t) * over, 2.0 * t * over
+        beta, half = ratio * cosine, reach * sine
+        root = np.sqrt(1.0 + half * half)
+        sinh = 2.0 * half * root
+        change = size - 2.0 * per_h * np.log(half + root)
+        value = change * beta - kappa * (1.0 - beta) * sinh
+        # d(phi) = 2 over dt
+        d_beta, d_half = -2.0 * over * ratio * sine, 2.0 * over * reach * cosine
+        gradient = (
+            change * d_beta - 2.0 * per_h / root * d_half * beta + kappa * d_beta * sinh
+            - kappa * (1.0 - beta) * 2.0 * (1.0 + 2.0 * half * half) / root * d_half
+        )  # fmt: skip
+        if value > 0.0:
+            low = t
+        else:
+            high = t
+        following = t - value / gradient
+        if not (low <= following <= high):
+            following = 0.5 * (low + high)
+        moved = abs(following - t)
+        t = following
+        if moved <= 1e-2 * t:
             break
-        k = max(k - value / slope, 0.05 * k)
-    return (1.0 - k) * volume, k
+    over = 1.0 / (1.0 + t * t)
+    beta, half = ratio * (1.0 - t * t) * over, reach * 2.0 * t * over
+    change = size - 2.0 * per_h * np.log(half + np.sqrt(1.0 + half * half))
+    beta = min(max(beta, 1e-3), 1.0)
+    change = min(max(change, 0.0), size)
+    if volume < 0.0:
+        return -min(change, -0.5 * np.log1p(-damage)), beta
+    return change, beta
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def return_map(volume, mises, jacobian, strain, damage, material, kind, hardening):
     """Return the plastic step from an elastic trial state.
 
@@ -232,7 +271,7 @@ def return_map(volume, mises, jacobian, strain, damage, material, kind, hardenin
     the derivatives of a and beta by `volume` and `mises`. An elastic step gives a = 0, beta = 1
     and zero derivatives. The derivative by volume includes that of J, since d ln J = d volume.
     """
-    flow, _ = flow_stress(kind, hardening, strain)
+    flow, slope = flow_stress(kind, hardening, strain)
     flow *= jacobian
     g, _ = effective_damage(damage, material)
     strength = 1.0 - 2.0 * material[Q1] * g + material[Q3] * g * g
@@ -242,7 +281,7 @@ def return_map(volume, mises, jacobian, strain, damage, material, kind, hardenin
     low, high = min(volume, 0.0), max(volume, 0.0)
     if volume < 0.0:
         low = max(low, np.log1p(-damage))
-    a, beta = _start(volume, mises, jacobian, strain, damage, material, kind, hardening)
+    a, beta = _start(volume, mises, flow, slope * jacobian, damage, material)
     converged = False
     first, second, state = _system(
         a, beta, volume, mises, jacobian, strain, damage, material, kind, hardening

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numba import njit
+
+from fem.constitutive.compiled import kernel
 
 VOCE, SWIFT, TABLE = 0, 1, 2
 
@@ -107,7 +108,7 @@ class TabulatedHardening:
         return np.concatenate([np.asarray(self.strains, float), np.asarray(self.stresses, float)])
 
 
-@njit(cache=True, nogil=True, inline="never")
+@kernel
 def flow_stress(kind: int, parameters: np.ndarray, strain: float) -> tuple[float, float]:
     """Return yield stress [Pa] and its slope [Pa] at an accumulated plastic strain."""
     if kind == VOCE:

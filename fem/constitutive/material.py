@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from fem.constitutive.compiled import kernel
 from fem.constitutive.gurson import (
     ACCELERATION,
     BULK,
@@ -33,10 +33,11 @@ from fem.constitutive.gurson import (
 )
 from fem.constitutive.hardening import Hardening, VoceHardening, flow_stress
 from fem.constitutive.hencky import (
-    eigen_symmetric,
+    decompose,
     from_principal,
     invert,
     push_forward,
+    shear_factor,
     spatial_tangent,
 )
 
@@ -141,7 +142,7 @@ class Material:
         return vector
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _stiffness_left(damage: float, material: np.ndarray) -> float:
     """Moduli over those of the intact metal: 1 - q1 f*, as the strength; a void's beyond f_max."""
     if damage >= material[LIMIT]:
@@ -152,7 +153,7 @@ def _stiffness_left(damage: float, material: np.ndarray) -> float:
     return 1.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def stiffness_left(damage: np.ndarray, material: np.ndarray) -> np.ndarray:
     """`_stiffness_left` for an array of f (nc, nq); material: the parameter vector."""
     left = np.empty_like(damage)
@@ -162,44 +163,34 @@ def stiffness_left(damage: np.ndarray, material: np.ndarray) -> np.ndarray:
     return left
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def update_point(
-    gradient, plastic_old, strain, damage, material, kind, hardening, need_tangent, stress,
-    tangent, plastic_new, small, dyad,
-):  # fmt: skip
+    gradient, plastic_old, strain, damage, material, kind, hardening, need_tangent, tangent, scratch
+):
     """Update one quadrature point.
 
-    gradient: F (3,3); plastic_old: Cp^-1 (6,) at the start of the step; strain, damage: plastic
-    strain and f there. Fills `stress` (Kirchhoff, 3x3), `tangent` (9x9: d tau = tangent : dF F^-1)
-    when asked, and `plastic_new` (6,). `small` (5,3,3) and `dyad` (9,9) are scratch.
+    gradient: F, nine numbers; plastic_old: Cp^-1, six, at the start of the step; strain, damage:
+    plastic strain and f there. When asked, fills `tangent` (6, 6): that of the corotational rate,
+    see `hencky.spatial_tangent`. `scratch` is (13, 6).
 
-    Returns (ok, plastic strain, f, stored energy, dissipated energy, mises, mean stress) with
-    energies per reference volume and Kirchhoff stresses; ok is False for det F <= 0 or no number.
+    Returns (ok, stress, Cp^-1, plastic strain, f, stored energy, dissipated energy, mises, mean
+    stress) with Kirchhoff stresses, six numbers for tensors, and energies per reference volume; ok
+    is False for det F <= 0 or no number.
     """
-    trial, vectors, principal, inverse, log_strain = (
-        small[0], small[1], small[2], small[3], small[4],
-    )  # fmt: skip
-    jacobian = invert(gradient, inverse)
-    if not jacobian > 0.0:
-        return False, strain, damage, 0.0, 0.0, 0.0, 0.0
-    plastic = (
-        plastic_old[0], plastic_old[1], plastic_old[2],
-        plastic_old[3], plastic_old[4], plastic_old[5],
-    )  # fmt: skip
-    push_forward(gradient, plastic, trial)
-    stretches = log_strain[2]
-    eigen_symmetric(trial, stretches, vectors)
-    if not (stretches[0] > 0.0 and stretches[1] > 0.0 and stretches[2] > 0.0):
-        return False, strain, damage, 0.0, 0.0, 0.0, 0.0
+    jacobian, inverse = invert(gradient)
+    stretches, first, second, third = decompose(push_forward(gradient, plastic_old))
+    if not (jacobian > 0.0 and min(stretches[0], min(stretches[1], stretches[2])) > 0.0):
+        nothing = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        return False, nothing, plastic_old, strain, damage, 0.0, 0.0, 0.0, 0.0
     bulk, shear = material[BULK], material[SHEAR]
-    deviator, normal = log_strain[0], log_strain[1]
-    for a in range(3):
-        deviator[a] = 0.5 * np.log(stretches[a])
-    volume = deviator[0] + deviator[1] + deviator[2]
-    for a in range(3):
-        deviator[a] -= volume / 3.0
-    squared = deviator[0] ** 2 + deviator[1] ** 2 + deviator[2] ** 2
-    mises = shear * np.sqrt(6.0 * squared)
+    e0, e1, e2 = (
+        0.5 * np.log(stretches[0]),
+        0.5 * np.log(stretches[1]),
+        0.5 * np.log(stretches[2]),
+    )
+    volume = e0 + e1 + e2
+    e0, e1, e2 = e0 - volume / 3.0, e1 - volume / 3.0, e2 - volume / 3.0  # deviator from here on
+    mises = shear * np.sqrt(6.0 * (e0 * e0 + e1 * e1 + e2 * e2))
     keep = _stiffness_left(damage, material)
     if damage >= material[LIMIT]:
         a_pl, beta, new_strain, new_damage, flow = 0.0, 1.0, strain, damage, 1.0
@@ -209,81 +200,75 @@ def update_point(
             volume, mises, jacobian / keep, strain, damage, material, kind, hardening
         )
     pressure = bulk * (volume - a_pl)
-    scale = 2.0 * shear * beta
-    tau = from_principal(
-        vectors,
-        keep * (pressure + scale * deviator[0]),
-        keep * (pressure + scale * deviator[1]),
-        keep * (pressure + scale * deviator[2]),
-    )
-    stress[0, 0], stress[1, 1], stress[2, 2] = tau[0], tau[1], tau[2]
-    stress[0, 1] = stress[1, 0] = tau[3]
-    stress[0, 2] = stress[2, 0] = tau[4]
-    stress[1, 2] = stress[2, 1] = tau[5]
-    if new_strain == strain and a_pl == 0.0:
-        for k in range(6):
-            plastic_new[k] = plastic_old[k]
-    else:
-        third = (volume - a_pl) / 3.0
-        elastic = from_principal(
-            vectors,
-            np.exp(2.0 * (third + beta * deviator[0])),
-            np.exp(2.0 * (third + beta * deviator[1])),
-            np.exp(2.0 * (third + beta * deviator[2])),
+    mean, scale = keep * pressure, 2.0 * keep * shear * beta
+    principal_stress = (mean + scale * e0, mean + scale * e1, mean + scale * e2)
+    stress = from_principal(principal_stress, first, second, third)
+    plastic_new = plastic_old
+    if new_strain != strain or a_pl != 0.0:
+        volumetric = 2.0 / 3.0 * (volume - a_pl)
+        elastic = (
+            np.exp(volumetric + 2.0 * beta * e0),
+            np.exp(volumetric + 2.0 * beta * e1),
+            np.exp(volumetric + 2.0 * beta * e2),
         )
-        push_forward(inverse, elastic, trial)  # Cp^-1 = F^-1 b_e F^-T
-        plastic_new[0], plastic_new[1], plastic_new[2] = trial[0, 0], trial[1, 1], trial[2, 2]
-        plastic_new[3], plastic_new[4], plastic_new[5] = trial[0, 1], trial[0, 2], trial[1, 2]
+        # Cp^-1 = F^-1 b_e F^-T
+        plastic_new = push_forward(inverse, from_principal(elastic, first, second, third))
     final = beta * mises
     stored = 0.5 * bulk * (volume - a_pl) ** 2 + final * final / (6.0 * shear)
     dissipated = 0.0
     if new_strain > strain:
         old_flow, _ = flow_stress(kind, hardening, strain)
-        mean = 0.5 * (1.0 + old_flow * jacobian / (keep * flow))
-        dissipated = mean * (pressure * a_pl + final * (mises - final) / (3.0 * shear))
+        average = 0.5 * (1.0 + old_flow * jacobian / (keep * flow))
+        dissipated = average * (pressure * a_pl + final * (mises - final) / (3.0 * shear))
     if need_tangent:
-        for b in range(3):
-            normal[b] = 6.0 * shear * shear * deviator[b] / mises if mises > 0.0 else 0.0
-        for a in range(3):
-            for b in range(3):
-                d_a = a_v + a_q * normal[b]
-                d_beta = b_v + b_q * normal[b]
-                principal[a, b] = bulk * (1.0 - d_a) - 2.0 / 3.0 * shear * beta
-                principal[a, b] += 2.0 * shear * deviator[a] * d_beta
-            principal[a, a] += 2.0 * shear * beta
         # share of the elastic tangent, which Newton asks for where its steps go astray
         share = material[STIFFENING]
-        for a in range(3):
-            for b in range(3):
-                elastic_part = bulk + (4.0 if a == b else -2.0) / 3.0 * shear
-                principal[a, b] += share * (elastic_part - principal[a, b])
-                principal[a, b] *= keep
-        ratio = 2.0 * shear * keep * (beta + share * (1.0 - beta))
-        spatial_tangent(principal, stretches, vectors, ratio, tangent, dyad[0], dyad[1])
+        elastic_share, plastic_share = share * keep, (1.0 - share) * keep
+        diagonal = 2.0 * shear * (plastic_share * beta + elastic_share)
+        rest = (plastic_share + elastic_share) * bulk - diagonal / 3.0
+        direction = 6.0 * shear * shear / mises if mises > 0.0 else 0.0
+        deviator, principal = scratch[9], scratch[10:13]
+        deviator[0], deviator[1], deviator[2] = e0, e1, e2
+        for b in range(3):
+            d_a = bulk * (a_v + a_q * direction * deviator[b])
+            d_beta = 2.0 * shear * (b_v + b_q * direction * deviator[b])
+            for a in range(3):
+                principal[a, b] = rest + plastic_share * (deviator[a] * d_beta - d_a)
+            principal[b, b] += diagonal
+        moduli = (
+            diagonal * shear_factor(e0 - e1),
+            diagonal * shear_factor(e0 - e2),
+            diagonal * shear_factor(e1 - e2),
+        )
+        spatial_tangent(principal, moduli, first, second, third, scratch, tangent)
     finite = np.isfinite(pressure) and np.isfinite(final) and np.isfinite(new_strain)
     return (
-        finite, new_strain, new_damage, keep * stored, keep * dissipated, keep * final,
-        keep * pressure,
+        finite, stress, plastic_new, new_strain, new_damage, keep * stored, keep * dissipated,
+        keep * final, mean,
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def update_points(
     gradients, plastic_old, strains, damages, material, kind, hardening, stresses, tangents,
     plastic_new, new_strains, new_damages,
 ):  # fmt: skip
-    """Update n points: F (n,3,3), Cp^-1 (n,6), strain (n,), f (n,); returns the number that failed.
+    """Update n points: F (n,9), Cp^-1 (n,6), strain (n,), f (n,); returns the number that failed.
 
+    Fills Kirchhoff stress (n,6) and the tangent (n,6,6) of its corotational rate.
     For tests and benchmarks; the assembly calls `update_point` within its loop over cells.
     """
-    small, dyad = np.empty((5, 3, 3)), np.empty((2, 9, 9))
+    scratch = np.empty((13, 6))
     failed = 0
     for i in range(gradients.shape[0]):
-        ok, strain, damage, _, _, _, _ = update_point(
-            gradients[i], plastic_old[i], strains[i], damages[i], material, kind, hardening, True,
-            stresses[i], tangents[i], plastic_new[i], small, dyad,
+        f, p = gradients[i], plastic_old[i]
+        ok, stress, plastic, new_strains[i], new_damages[i], _, _, _, _ = update_point(
+            (f[0], f[1], f[2], f[3], f[4], f[5], f[6], f[7], f[8]),
+            (p[0], p[1], p[2], p[3], p[4], p[5]),
+            strains[i], damages[i], material, kind, hardening, True, tangents[i], scratch,
         )  # fmt: skip
-        new_strains[i], new_damages[i] = strain, damage
+        for k in range(6):
+            stresses[i, k], plastic_new[i, k] = stress[k], plastic[k]
         if not ok:
             failed += 1
     return failed
