@@ -6,6 +6,7 @@ axes.  The callers validate; nothing here does.
 """
 
 import functools
+import types
 
 import numpy as np
 from numba import njit, prange
@@ -18,7 +19,7 @@ def _by_size(function=None, *, fastmath=False):
     """Compile a loop twice, serial and threaded, and choose by the size of its first array."""
     if function is None:
         return lambda f: _by_size(f, fastmath=fastmath)
-    serial = njit(cache=True, fastmath=fastmath)(function)
+    serial = njit(cache=True, fastmath=fastmath)(_named(function, "serial"))
     threaded = njit(cache=True, parallel=True, fastmath=fastmath)(function)
 
     @functools.wraps(function)
@@ -26,6 +27,14 @@ def _by_size(function=None, *, fastmath=False):
         return (threaded if first.size >= _THREADED_FROM else serial)(first, *rest)
 
     return choose
+
+
+def _named(function, suffix):
+    """A copy under a name of its own: Numba's cache tells functions apart by name and line only."""
+    copy = types.FunctionType(function.__code__, function.__globals__, function.__name__)
+    copy.__module__ = function.__module__
+    copy.__qualname__ = f"{function.__qualname__}_{suffix}"
+    return copy
 
 
 # Contraction lets a*b+c become one fused operation; NaN and infinity keep their meaning.

@@ -8,7 +8,8 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 from scipy.optimize import minimize_scalar
 
-from peri.corrosion.scene import CorrosionScene
+from peri.corrosion.bimaterial import BiMaterial
+from peri.corrosion.scene import CorrosionScene, around
 
 
 def front_depth(scene: CorrosionScene, end_time: float) -> float:
@@ -35,9 +36,16 @@ def metal_at_risk(scene: CorrosionScene, end_time: float) -> np.ndarray:
     liquid = scene.domain & ~scene.metal
     if not liquid.any():
         return np.zeros_like(scene.metal)
-    distance = distance_transform_edt(~liquid, sampling=scene.lattice.spacing)
     diagonal = math.sqrt(scene.lattice.dimension)  # reach along every axis at once
-    return scene.metal & (distance <= diagonal * front_depth(scene, end_time) * (1 + 1e-9))
+    farthest = diagonal * front_depth(scene, end_time) * (1 + 1e-9)
+    # Where liquid is all around it, the metal's box and one layer hold all nearest liquid.
+    window = around(scene.metal)
+    if window is None or not scene.domain[window].all():
+        window = (slice(None),) * scene.lattice.dimension
+    distance = distance_transform_edt(~liquid[window], sampling=scene.lattice.spacing)
+    risk = np.zeros_like(scene.metal)
+    risk[window] = scene.metal[window] & (distance <= farthest)
+    return risk
 
 
 def arrival_bound(scene: CorrosionScene, distance: float, end_time: float) -> float:
@@ -66,15 +74,13 @@ def arrival_bound(scene: CorrosionScene, distance: float, end_time: float) -> fl
     return min(1.0, share)
 
 
-def least_loss(scene: CorrosionScene, end_time: float) -> float:
+def least_loss(scene: CorrosionScene, end_time: float, problem: BiMaterial | None = None) -> float:
     """A lower bound of V_L(end_time), from the first moments.
 
     While the fullest liquid node stays below C_sat / 2 every bond carries at least half its
-    first flux; V_L does not fall afterwards.
+    first flux; V_L does not fall afterwards.  `problem`: the scene's, where the caller has it.
     """
-    from peri.corrosion.bimaterial import BiMaterial
-
-    problem = BiMaterial(scene)
+    problem = problem or BiMaterial(scene)
     rate = problem.base_diffusivity * scene.kinetics.factor(0.0)
     if problem.box is None or rate == 0:
         return 0.0

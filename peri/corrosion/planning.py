@@ -48,18 +48,19 @@ class Omission:
     applied: bool
 
 
-def liquid_bound(scene: CorrosionScene) -> np.ndarray:
+def liquid_bound(scene: CorrosionScene, problem: BiMaterial | None = None) -> np.ndarray:
     """An upper bound of the liquid's concentration at every node and time, mol/m^3.
 
     The interface inflow never exceeds its first value into clean liquid (the metal only loses,
     the kinetics only slows), and the liquid's matrix is an M-matrix, so the steady state of that
-    first inflow bounds the march, saturation left aside.  One linear solution.
+    first inflow bounds the march, saturation left aside.  One linear solution.  `problem`: the
+    scene's, where the caller has it.
 
     Returns
     -------
     array of the lattice's shape; infinite where liquid cannot reach refreshed medium.
     """
-    problem = BiMaterial(scene)
+    problem = problem or BiMaterial(scene)
     out = np.zeros(scene.lattice.shape)
     if problem.box is None:
         return out
@@ -103,22 +104,31 @@ def plan_omissions(
     ValueError
         For a tolerance outside [0, 1) or an unknown name in `refused`.
     """
+    return _plan(scene, BiMaterial(scene), end_time, tolerance, refused)[0]
+
+
+def _plan(
+    scene: CorrosionScene,
+    problem: BiMaterial,
+    end_time: float,
+    tolerance: float,
+    refused: Collection[str],
+) -> tuple[list[Omission], np.ndarray]:
+    """The omissions, and the domain without the liquid that they leave out."""
     if not 0 <= tolerance < 1:
         raise ValueError(f"tolerance: {tolerance}; it must be from 0 to below 1")
     unknown = set(refused) - set(OMISSIONS)
     if unknown:
         raise ValueError(f"refused: {sorted(unknown)}; known: {', '.join(OMISSIONS)}")
-    return [
-        _solid_core(scene, end_time),
-        _liquid(scene, end_time, tolerance, refused),
-        _far_liquid(scene, end_time, tolerance, refused)[0],
-        Omission(
-            COARSE_LIQUID,
-            "not offered: there are no lattices of two spacings, liquid is as fine as the metal",
-            math.inf,
-            False,
-        ),
-    ]
+    far, domain = _far_liquid(scene, problem, end_time, tolerance, refused)
+    coarse = Omission(
+        COARSE_LIQUID,
+        "not offered: there are no lattices of two spacings, liquid is as fine as the metal",
+        math.inf,
+        False,
+    )
+    liquid = _liquid(scene, problem, end_time, tolerance, refused)
+    return [_solid_core(scene, end_time), liquid, far, coarse], domain
 
 
 def _solid_core(scene: CorrosionScene, end_time: float) -> Omission:
@@ -142,7 +152,7 @@ def _speeds_up(scene: CorrosionScene) -> bool:
     return bool(np.any(np.diff(factors) > 0))
 
 
-def _far_liquid(scene, end_time, tolerance, refused) -> tuple[Omission, np.ndarray]:
+def _far_liquid(scene, problem, end_time, tolerance, refused) -> tuple[Omission, np.ndarray]:
     """Liquid that too little solute reaches by the end; also the domain without it.
 
     Cutting at a distance a changes the amounts by at most what gets there: with C the highest
@@ -155,25 +165,27 @@ def _far_liquid(scene, end_time, tolerance, refused) -> tuple[Omission, np.ndarr
     highest = scene.saturation_concentration
     if scene.saturation != "complementarity":
         highest = scene.solid_concentration
-    least = 0.0 if _speeds_up(scene) else least_loss(scene, end_time)
+    least = 0.0 if _speeds_up(scene) else least_loss(scene, end_time, problem)
     reach = float(np.max(np.multiply(scene.stencil.reach, scene.stencil.spacing)))
     if not least > 0 or not liquid.any() or not scene.metal.any():
         return _far_needed("there is no bound of what the metal loses at least"), scene.domain
     distance = distance_transform_edt(~scene.metal, sampling=scene.lattice.spacing)
     volume = scene.capacity()
     scale = least * float(volume[scene.metal].sum()) * scene.solid_concentration
-    farthest = float(distance[liquid].max())
+    shell = np.ceil(distance[liquid] / reach - 1e-9).astype(np.int64)
+    contents_of = np.bincount(shell, weights=volume[liquid])
     exchange = end_time * scene.liquid_diffusivity * scene.stencil.total
     bound = math.inf
-    for cut in np.arange(3.0, math.floor(farthest / reach)) * reach:
+    for n in range(3, int(distance[liquid].max() // reach)):
+        cut = n * reach
         # Sources end a horizon from the metal (and one more for cells that hold more than one
         # volume); the nodes of the new edge begin a horizon before it.
         share = arrival_bound(scene, cut - 3.0 * reach, end_time)
-        beyond = liquid & (distance > cut)
-        edge = liquid & (distance > cut - reach) & ~beyond
-        contents = float(volume[beyond].sum()) + exchange * float(volume[edge].sum())
+        contents = float(contents_of[n + 1 :].sum() + exchange * contents_of[n])
         bound = highest * share * contents / scale
         if bound <= tolerance:
+            beyond = np.zeros_like(liquid)
+            beyond[liquid] = shell > n
             omission = Omission(
                 FAR_LIQUID,
                 f"{int(beyond.sum())} of {int(liquid.sum())} liquid nodes are farther than "
@@ -191,7 +203,7 @@ def _far_needed(reason: str) -> Omission:
     return Omission(FAR_LIQUID, f"needed: {reason}", math.inf, False)
 
 
-def _liquid(scene, end_time, tolerance, refused) -> Omission:
+def _liquid(scene, problem, end_time, tolerance, refused) -> Omission:
     """Clean liquid instead of a computed one.
 
     In stretched time ds = g dt, C_i' = -lambda_i (C_i - mean of C_liquid), so with
@@ -204,7 +216,7 @@ def _liquid(scene, end_time, tolerance, refused) -> Omission:
         )
     if _speeds_up(scene):
         return Omission(LIQUID, "needed: the kinetics speeds up with volume loss", math.inf, False)
-    bound = liquid_bound(scene)
+    bound = liquid_bound(scene, problem)
     reach = bound[scene.domain & ~scene.metal].max(initial=0.0)
     if not np.isfinite(reach):
         return Omission(
@@ -223,7 +235,7 @@ def _liquid(scene, end_time, tolerance, refused) -> Omission:
         )
     epsilon = reach / scene.solid_concentration
     error = epsilon / (1.0 - epsilon) if epsilon < 1 else math.inf
-    reduced = well_stirred(scene, [end_time])
+    reduced = well_stirred(scene, [end_time], problem=problem)
     lost = int((scene.metal & ~reduced.metal[-1]).sum())
     if lost:
         return Omission(
@@ -255,13 +267,14 @@ def corrode_lean(
     **march,
 ) -> tuple[CorrosionResult, list[Omission]]:
     """`corrode` without what the scene does not need; also returns what was left out."""
-    omissions = plan_omissions(scene, float(np.max(times)), tolerance, refused)
+    problem = BiMaterial(scene)
+    omissions, domain = _plan(scene, problem, float(np.max(times)), tolerance, refused)
     if any(o.name == LIQUID and o.applied for o in omissions):
-        return well_stirred(scene, times), omissions
+        return well_stirred(scene, times, problem=problem), omissions
+    del problem  # its arrays; the march has its own
     marched = scene
     if any(o.name == FAR_LIQUID and o.applied for o in omissions):
-        end = float(np.max(times))
-        marched = replace(scene, domain=_far_liquid(scene, end, tolerance, refused)[1])
+        marched = replace(scene, domain=domain)
     result = corrode(
         marched, times, stepping, progress=progress, checkpoint=checkpoint, resume=resume, **march
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from dataclasses import dataclass, field
@@ -162,7 +163,17 @@ class CorrosionScene:
 
         A cut cell has one phase, its node's; what the other phase owns of it is handed to the
         neighbouring cells of that phase.  The metal's total is exactly sum(metal_fraction) cells.
+        Read-only.
         """
+        return self._capacity
+
+    @functools.cached_property
+    def _capacity(self) -> np.ndarray:
+        out = self._make_capacity()
+        out.flags.writeable = False
+        return out
+
+    def _make_capacity(self) -> np.ndarray:
         if self.metal_fraction is None:
             return self.domain.astype(float)
         metal, liquid = self.metal, self.domain & ~self.metal
@@ -190,6 +201,25 @@ def _check_positive(name: str, value: float) -> None:
 
 def _hand_over(amount: np.ndarray, receiver: np.ndarray) -> np.ndarray:
     """Split each cell's amount evenly over its nearest receiving neighbours (faces, then all)."""
+    out = np.zeros_like(amount)
+    window = around(amount != 0)
+    if window is not None:
+        out[window] = _hand_over_everywhere(amount[window], receiver[window])
+    return out
+
+
+def around(cells: np.ndarray) -> tuple[slice, ...] | None:
+    """The part of a box that holds the marked cells and their neighbours; None without any."""
+    window = []
+    for a in range(cells.ndim):
+        marked = np.flatnonzero(cells.any(axis=tuple(b for b in range(cells.ndim) if b != a)))
+        if not marked.size:
+            return None
+        window.append(slice(max(0, marked[0] - 1), marked[-1] + 2))
+    return tuple(window)
+
+
+def _hand_over_everywhere(amount: np.ndarray, receiver: np.ndarray) -> np.ndarray:
     out = np.zeros_like(amount)
     d = amount.ndim
     moves = [m for m in itertools.product((-1, 0, 1), repeat=d) if any(m)]

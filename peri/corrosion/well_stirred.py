@@ -20,7 +20,10 @@ from peri.corrosion.scene import CorrosionScene
 
 
 def well_stirred(
-    scene: CorrosionScene, times: Sequence[float], tolerance: float = 1e-10
+    scene: CorrosionScene,
+    times: Sequence[float],
+    tolerance: float = 1e-10,
+    problem: BiMaterial | None = None,
 ) -> CorrosionResult:
     """Corrode a scene as if all liquid were clean.
 
@@ -35,6 +38,8 @@ def well_stirred(
         s, ascending, >= 0.
     tolerance : float
         Relative tolerance of the scalar equation.
+    problem : BiMaterial, optional
+        The scene's, as it was before any step, where the caller has it.
 
     Returns
     -------
@@ -48,7 +53,7 @@ def well_stirred(
         )
     started = clock.perf_counter()
     times = np.asarray(times, float)
-    problem = BiMaterial(scene)
+    problem = problem or BiMaterial(scene)
     rates = problem.metal_rates()[scene.metal]
     volumes = scene.capacity()[scene.metal]
     exposed = rates > 0

@@ -133,6 +133,23 @@ def test_metal_that_the_front_cannot_reach_loses_nothing(dissolution):
     assert f"{metal.sum() - risk.sum()} of them cannot lose anything by the end" in reason
 
 
+def test_metal_at_risk_is_measured_from_the_nearest_liquid():
+    """Also where nothing, not liquid, surrounds the metal."""
+    everywhere = pin(2, 30, interface_diffusivity=1e-16)
+    bare = everywhere.domain & (everywhere.metal | (everywhere.lattice.coordinates()[0] > 0.27e-3))
+    for scene in (everywhere, dataclasses.replace(everywhere, domain=bare)):
+        liquid = np.argwhere(scene.domain & ~scene.metal)
+        distance = np.array([
+            np.sqrt(((liquid - node) ** 2).sum(axis=1).min())
+            for node in np.argwhere(scene.metal)
+        ])
+        distance *= scene.lattice.spacing[0]
+        risk = metal_at_risk(scene, WEEK)[scene.metal]
+        depth = np.sqrt(2) * front_depth(scene, WEEK)
+        assert distance[risk].max() <= depth * (1 + 1e-6)
+        assert distance[~risk].min() > depth and 0 < risk.sum() < risk.size
+
+
 def test_default_steps_keep_the_time_error_below_a_thousandth():
     """V_L of default marches where the liquid limits the rate (clean: test_run)."""
     scene = pin(2, 14, saturation_concentration=66.0, liquid_diffusivity=1e-12,

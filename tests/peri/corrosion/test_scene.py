@@ -137,3 +137,23 @@ def test_capacity_keeps_volumes_of_both_phases():
     assert capacity.sum() == pytest.approx(400.0, rel=1e-13)
     assert capacity.min() > 0 and capacity.max() < 2.5
     np.testing.assert_array_equal(scene().capacity(), np.ones((5, 6)))
+    assert cut.capacity() is capacity and not capacity.flags.writeable
+
+
+def test_cut_cells_are_shared_out_the_same_on_a_wider_lattice():
+    """Only the box around the cut cells is worked on."""
+    inner = (slice(3, 12), slice(7, 15))
+    found = []
+    for shape, where in (((9, 8), (slice(None),) * 2), ((20, 30), inner)):
+        metal, fraction = np.zeros(shape, bool), np.zeros(shape)
+        metal[where][2:6, 3:6] = True
+        fraction[where][1:7, 2:7] = np.random.default_rng(3).random((6, 5))
+        fraction[where][3:5, 4] = 1.0  # no liquid beside them
+        whole = scene(
+            lattice=Lattice((0, 0), (1e-4,) * 2, shape), metal=metal, metal_fraction=fraction,
+            horizon=2e-4,
+        )  # fmt: skip
+        assert whole.capacity().sum() == pytest.approx(np.prod(shape), rel=1e-13)
+        found.append(whole.capacity()[where])
+    assert np.ptp(found[0]) > 0.5
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-13)  # measured 2e-16

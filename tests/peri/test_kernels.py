@@ -1,0 +1,34 @@
+"""The serial and the threaded version of a compiled loop: same sums, each with its own cache."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from peri import kernels
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_both_versions_add_the_same():
+    random = np.random.default_rng(1)
+    small, large = (random.random((n,) * 3) for n in (8, 60))
+    assert small.size < kernels._THREADED_FROM < large.size
+    for values in (small, large):
+        found = kernels.inner_product(values, values).sum()
+        # The threads' parts are added in another order: measured 0
+        np.testing.assert_allclose(found, (values**2).sum(), rtol=1e-13)
+
+
+def test_the_cache_keeps_both_versions_apart(tmp_path):
+    """One file for both would serve whichever was compiled first, whatever the size."""
+    code = (
+        "import numpy as np; from peri import kernels\n"
+        "for n in (8, 60):\n"
+        "    kernels.add_to(np.zeros((n,) * 3), np.ones((n,) * 3))\n"
+    )
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
+    subprocess.run([sys.executable, "-c", code], check=True, env=environment, cwd=tmp_path)
+    assert len(list(tmp_path.rglob("kernels.add_to*.nbi"))) == 2
