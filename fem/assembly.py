@@ -23,6 +23,8 @@ from fem.constitutive.material import Material, update_point
 from fem.discretisation import Discretisation
 from fem.quadrature_state import QuadratureState
 
+_LANES = 8  # numbers in a vector register: rows of a cell's matrices are a multiple of it
+
 
 @dataclass
 class Assembled:
@@ -97,8 +99,12 @@ def _assemble_groups(
     deformation, jacobian = np.empty((largest[0], nq, 9)), np.empty((largest[0], nq))
     spatial = np.empty((largest[0], nq, 3 * nn))
     mean_gradient, extra = np.zeros(3 * largest[1]), np.empty(3 * largest[1])
-    rates, block, initial = np.zeros((6, 3 * nn)), np.empty((3 * nn, 3 * nn)), np.empty((nn, nn))
-    local_force, local = np.empty(3 * largest[1]), np.empty((3 * largest[1], 3 * largest[1]))
+    columns = _LANES * ((3 * nn + _LANES - 1) // _LANES)
+    rates, image = np.zeros((6, columns)), np.empty((6, columns))
+    block, initial = np.empty((3 * nn, columns)), np.empty((nn, nn))
+    local_force = np.empty(3 * largest[1])
+    # of a group's stiffness; that of a single cell needs no summation
+    local = block if largest[0] == 1 else np.empty((3 * largest[1], 3 * largest[1]))
     failed, stored, dissipated = 0.0, 0.0, 0.0
     for g in range(first, last):
         start, stop = cell_start[g], cell_start[g + 1]
@@ -119,7 +125,7 @@ def _assemble_groups(
                         for i in range(3):
                             at = 3 * place[c, a] + i
                             mean_gradient[at] += part * spatial[c - start, q, 3 * a + i]
-        if stiffness:
+        if stiffness and largest[0] > 1:
             local[: 3 * nodes, : 3 * nodes] = 0.0
         for c in range(start, stop):
             if not alive[c]:
@@ -151,9 +157,11 @@ def _assemble_groups(
                 if stiffness:
                     if averaged:
                         _mean_dilatation(weight, stress, gradient, place[c], tangent, extra)
-                    _add_stiffness(weight, stress, tangent, gradient, rates, block)
+                    _add_stiffness(weight, stress, tangent, gradient, rates, image, block)
             if stiffness:
-                _place_block(place[c], block, initial, local)
+                _add_initial(initial, block)
+                if largest[0] > 1:
+                    _place_block(place[c], block, local)
         if averaged and stiffness:
             for row in range(3 * nodes):
                 for column in range(3 * nodes):
@@ -282,11 +290,10 @@ def _thirds(c, stress):
 
 
 @kernel
-def _add_stiffness(weight, stress, tangent, gradient, rates, block):
-    """Add one point's B^T (C - tau d - d tau) B; `rates` is B (6, 3 nn), its zeros in place."""
+def _add_stiffness(weight, stress, tangent, gradient, rates, image, block):
+    """Add one point's B^T D B, D = C - tau d - d tau; `rates` is B, zeros in place, `image` D B."""
     s00, s11, s22, s01, s02, s12 = stress
-    columns = gradient.size
-    for at in range(0, columns, 3):
+    for at in range(0, gradient.size, 3):
         x, y, z = gradient[at], gradient[at + 1], gradient[at + 2]
         rates[0, at] = rates[3, at + 1] = rates[4, at + 2] = x
         rates[1, at + 1] = rates[3, at] = rates[5, at + 2] = y
@@ -303,32 +310,34 @@ def _add_stiffness(weight, stress, tangent, gradient, rates, block):
     ):  # fmt: skip
         tangent[i, j] -= value
         tangent[j, i] -= value
-    for at in range(0, columns, 3):
-        x, y, z = weight * gradient[at], weight * gradient[at + 1], weight * gradient[at + 2]
-        for i in range(3):
-            k0 = i
-            # row i of B_a^T C
-            if i == 0:
-                p, q, r, k1, k2 = x, y, z, 3, 4
-            elif i == 1:
-                p, q, r, k1, k2 = y, x, z, 3, 5
-            else:
-                p, q, r, k1, k2 = z, x, y, 4, 5
-            t0 = p * tangent[k0, 0] + q * tangent[k1, 0] + r * tangent[k2, 0]
-            t1 = p * tangent[k0, 1] + q * tangent[k1, 1] + r * tangent[k2, 1]
-            t2 = p * tangent[k0, 2] + q * tangent[k1, 2] + r * tangent[k2, 2]
-            t3 = p * tangent[k0, 3] + q * tangent[k1, 3] + r * tangent[k2, 3]
-            t4 = p * tangent[k0, 4] + q * tangent[k1, 4] + r * tangent[k2, 4]
-            t5 = p * tangent[k0, 5] + q * tangent[k1, 5] + r * tangent[k2, 5]
-            for j in range(columns):
-                block[at + i, j] += (
-                    t0 * rates[0, j] + t1 * rates[1, j] + t2 * rates[2, j]
-                    + t3 * rates[3, j] + t4 * rates[4, j] + t5 * rates[5, j]
-                )  # fmt: skip
+    for i in range(6):
+        t0, t1, t2 = weight * tangent[i, 0], weight * tangent[i, 1], weight * tangent[i, 2]
+        t3, t4, t5 = weight * tangent[i, 3], weight * tangent[i, 4], weight * tangent[i, 5]
+        for j in range(image.shape[1]):
+            image[i, j] = (
+                t0 * rates[0, j] + t1 * rates[1, j] + t2 * rates[2, j]
+                + t3 * rates[3, j] + t4 * rates[4, j] + t5 * rates[5, j]
+            )  # fmt: skip
+    for at in range(0, gradient.size, 3):
+        x, y, z = gradient[at], gradient[at + 1], gradient[at + 2]
+        for j in range(image.shape[1]):
+            block[at, j] += x * image[0, j] + y * image[3, j] + z * image[4, j]
+        for j in range(image.shape[1]):
+            block[at + 1, j] += y * image[1, j] + x * image[3, j] + z * image[5, j]
+        for j in range(image.shape[1]):
+            block[at + 2, j] += z * image[2, j] + x * image[4, j] + y * image[5, j]
 
 
 @kernel
-def _place_block(place, block, initial, local):
+def _add_initial(initial, block):
+    for a in range(initial.shape[0]):
+        for b in range(initial.shape[0]):
+            for i in range(3):
+                block[3 * a + i, 3 * b + i] += initial[a, b]
+
+
+@kernel
+def _place_block(place, block, local):
     """Add a cell's stiffness to that of its group."""
     for a in range(place.size):
         for b in range(place.size):
@@ -336,7 +345,6 @@ def _place_block(place, block, initial, local):
             for i in range(3):
                 for k in range(3):
                     local[row + i, column + k] += block[3 * a + i, 3 * b + k]
-                local[row + i, column + i] += initial[a, b]
 
 
 @kernel
@@ -350,12 +358,15 @@ def _scatter(group, nodes, group_nodes, stiffness, local_force, local, target):
         if not stiffness or row >= owned_nodes:
             continue
         start, width = row_start[row], 3 * (row_start[row + 1] - row_start[row])
+        first = pair_start[group] + a * nodes
         for b in range(nodes):
-            block = position[pair_start[group] + a * nodes + b] - start
+            at = 9 * start + 3 * (position[first + b] - start)
             for i in range(3):
-                at = 9 * start + i * width + 3 * block
-                for k in range(3):
-                    values[at + k] += local[3 * a + i, 3 * b + k]
+                # loaded before anything is stored: the arrays might overlap, for all LLVM knows
+                x, y, z = values[at], values[at + 1], values[at + 2]
+                u, v, w = _three(local[3 * a + i], b)
+                values[at], values[at + 1], values[at + 2] = x + u, y + v, z + w
+                at += width
 
 
 @kernel
