@@ -82,6 +82,10 @@ def test_far_liquid_stays_within_its_bound(tolerance, dissolution):
     # measured 0: what arrives is far less than the bound of a walk along any axis
     assert abs(lean.volume_loss[0] / full.volume_loss[0] - 1) <= far.bound
     assert 0 < least_loss(scene, end) <= full.volume_loss[0]
+    coarse = next(o for o in omissions if o.name not in OMISSIONS)
+    corner = np.hypot(*scene.lattice.coordinates()) > 0.25e-3 + 2 * 1e-4 + 5e-5
+    count = int(coarse.reason.split("; ")[1].split(" nodes")[0])
+    assert corner.sum() <= count < 1.1 * corner.sum() and not coarse.applied
     everything, omissions = corrode_lean(
         scene, [end], stepping, tolerance=tolerance, refused=OMISSIONS
     )
