@@ -65,17 +65,29 @@ def yield_function(
 
 
 @kernel
+def _sinh(x):
+    """Hyperbolic sine to round-off: a series near 0, where the stress state of a bar is."""
+    if abs(x) < 0.5:
+        square = x * x
+        series = 1.0 / 39916800.0 + square * (1.0 / 6227020800.0)
+        series = 1.0 / 5040.0 + square * (1.0 / 362880.0 + square * series)
+        return x + x * square * (1.0 / 6.0 + square * (1.0 / 120.0 + square * series))
+    grown = np.exp(abs(x))
+    return np.copysign(0.5 * (grown - 1.0 / grown), x)
+
+
+@kernel
 def _system(a, beta, volume, mises, jacobian, strain, damage, material, kind, hardening):
     """Residuals, their derivatives by (a, beta, volume, mises), new plastic strain and f."""
     q1, q2, q3 = material[Q1], material[Q2], material[Q3]
     keep = 1.0 - beta
-    per_shear = 1.0 / material[SHEAR]
-    per_mises = keep * per_shear / 3.0  # plastic deviatoric strain over trial stress
+    per_shear = 1.0 / (3.0 * material[SHEAR])
+    per_mises = keep * per_shear  # plastic deviatoric strain over trial stress
     deviatoric = per_mises * mises
     step = np.sqrt(deviatoric * deviatoric + 2.0 / 9.0 * a * a)
     per_step = 1.0 / step if step > 0.0 else 0.0
     e_a, e_d = 2.0 / 9.0 * a * per_step, deviatoric * per_step
-    e_b, e_q = -e_d * mises * per_shear / 3.0, e_d * per_mises
+    e_b, e_q = -e_d * mises * per_shear, e_d * per_mises
     flow, slope = flow_stress(kind, hardening, strain + step)
     flow *= jacobian
     slope *= jacobian
@@ -108,13 +120,10 @@ def _system(a, beta, volume, mises, jacobian, strain, damage, material, kind, ha
     h = per_volume * (volume - a)
     h = min(max(h, -_MAX_ARGUMENT), _MAX_ARGUMENT)
     h_a, h_b, h_q, h_v = -per_volume - h * s_a, -h * s_b, -h * s_q, per_volume - h
-    grown = np.expm1(0.5 * abs(h))
-    half = 0.5 * (grown + grown / (1.0 + grown))  # sinh(|h| / 2)
-    sinh, cosh = 2.0 * half * (1.0 + grown - half), 1.0 + 2.0 * half * half
-    if h < 0.0:
-        sinh = -sinh
+    half = _sinh(0.5 * h)
+    sinh, cosh = 2.0 * half * np.sqrt(1.0 + half * half), 1.0 + 2.0 * half * half
 
-    factor = 0.5 * q1 * q2 * flow * per_shear
+    factor = 1.5 * q1 * q2 * flow * per_shear
     drive, open_g, open_h = factor * g * sinh, factor * sinh, factor * g * cosh
     r1 = a * beta - keep * drive
     r1_a = beta - keep * (open_g * g_a + drive * s_a + open_h * h_a)
@@ -198,46 +207,50 @@ def _bracketed(volume, mises, jacobian, strain, damage, material, kind, hardenin
 
 
 @kernel
-def _start(volume, mises, flow, slope, damage, material):
-    """First guess, on the yield surface of frozen strength and f.
+def _start(volume, mises, jacobian, strain, damage, flow, slope, material, kind, hardening):
+    """First guess, on the yield surface, with linearised growth of strength and f.
 
     The surface is beta q_trial / S = r cos(phi), sinh(|h|/2) = r/r_h sin(phi) with
     r^2 = 1 - 2 q1 f* + q3 f*^2 and r_h^2 = 4 q1 f*; R1 falls from phi = 0 to pi/2 and is solved in
-    t = tan(phi/2) by Newton within brackets, to the few digits that the frozen strength is worth.
+    t = tan(phi/2) by Newton within brackets, to the few digits that the linearisation is worth.
     flow, slope: S and its derivative by plastic strain at the start of the step.
     """
     q1, q2, shear = material[Q1], material[Q2], material[SHEAR]
     g, _ = effective_damage(damage, material)
-    strength = 1.0 - 2.0 * q1 * g + material[Q3] * g * g
-    radius = np.sqrt(strength)
-    excess = mises - radius * flow
-    if excess > 0.0:  # radial return of the deviator, for the strength at the end of the step
-        flow += slope * excess / (3.0 * shear + slope)
+    radius = np.sqrt(1.0 - 2.0 * q1 * g + material[Q3] * g * g)
+    # without pressure: radial return of the deviator, by two steps of Newton
+    step = max(mises - radius * flow, 0.0) / (3.0 * shear + radius * slope)
+    flow, slope = flow_stress(kind, hardening, strain + step)
+    flow, slope = flow * jacobian, slope * jacobian
     if g <= 0.0:
-        return 0.0, min(1.0, flow / mises)
-    reach = np.sqrt(strength / (4.0 * q1 * g))
-    size = abs(volume)
-    per_h = flow / (1.5 * q2 * material[BULK])
-    kappa = 0.5 * q1 * q2 * g * flow / shear
-    ratio = radius * flow / mises if mises > 1e-9 * flow else 1e9 * radius
+        more = (mises - 3.0 * shear * step - radius * flow) / (3.0 * shear + radius * slope)
+        return 0.0, min(1.0, max(flow + slope * more, 1e-3 * flow) * radius / mises)
+    reach = radius / np.sqrt(4.0 * q1 * g)
+    size, soft = abs(volume), 1.5 * q2 * material[BULK]
+    grow = 0.5 * q1 * q2 * g / shear
+    strength, lagged = flow, material[LAGGED] > 0.0
     low, high = 0.0, 1.0
+    ratio = radius * strength / max(mises, 1e-9 * strength)
     if ratio > 1.0:  # beta <= 1
         low = np.sqrt((ratio - 1.0) / (ratio + 1.0))
     t, beta, change = 0.5 * (low + high), 0.0, 0.0
+    sine = _sinh(0.5 * soft * size / strength) / reach
+    if sine < 0.7:  # no volume change
+        t = max(low, sine / (1.0 + np.sqrt(1.0 - sine * sine)))
     for _ in range(_START_ITERATIONS):
         over = 1.0 / (1.0 + t * t)
         cosine, sine = (1.0 - t * t) * over, 2.0 * t * over
         beta, half = ratio * cosine, reach * sine
         root = np.sqrt(1.0 + half * half)
-        sinh = 2.0 * half * root
+        per_h = strength / soft
         change = size - 2.0 * per_h * np.log(half + root)
-        value = change * beta - kappa * (1.0 - beta) * sinh
+        open_up = 2.0 * grow * strength * half * root
+        value = change * beta - (1.0 - beta) * open_up
         # d(phi) = 2 over dt
         d_beta, d_half = -2.0 * over * ratio * sine, 2.0 * over * reach * cosine
-        gradient = (
-            change * d_beta - 2.0 * per_h / root * d_half * beta + kappa * d_beta * sinh
-            - kappa * (1.0 - beta) * 2.0 * (1.0 + 2.0 * half * half) / root * d_half
-        )  # fmt: skip
+        d_open = 2.0 * grow * strength * (1.0 + 2.0 * half * half) / root
+        gradient = (change + open_up) * d_beta
+        gradient -= (2.0 * per_h / root * beta + (1.0 - beta) * d_open) * d_half
         if value > 0.0:
             low = t
         else:
@@ -247,12 +260,21 @@ def _start(volume, mises, flow, slope, damage, material):
             following = 0.5 * (low + high)
         moved = abs(following - t)
         t = following
+        shrunk = (1.0 - beta) * mises / (3.0 * shear)
+        strength = flow + slope * (np.sqrt(shrunk * shrunk + 2.0 / 9.0 * change * change) - step)
+        if not lagged:
+            f = damage + (1.0 - damage) * (change if volume > 0.0 else -change)
+            g, _ = effective_damage(min(max(f, 1e-3 * damage), material[LIMIT]), material)
+            radius = np.sqrt(1.0 - 2.0 * q1 * g + material[Q3] * g * g)
+            reach = radius / np.sqrt(4.0 * q1 * g)
+            grow = 0.5 * q1 * q2 * g / shear
+        ratio = radius * strength / max(mises, 1e-9 * strength)
         if moved <= 1e-2 * t:
             break
     over = 1.0 / (1.0 + t * t)
     beta, half = ratio * (1.0 - t * t) * over, reach * 2.0 * t * over
     change = size - 2.0 * per_h * np.log(half + np.sqrt(1.0 + half * half))
-    beta = min(max(beta, 1e-3), 1.0)
+    beta = min(max(beta, 1e-3 * min(ratio, 1.0)), 1.0)
     change = min(max(change, 0.0), size)
     if volume < 0.0:
         return -min(change, -0.5 * np.log1p(-damage)), beta
@@ -281,7 +303,9 @@ def return_map(volume, mises, jacobian, strain, damage, material, kind, hardenin
     low, high = min(volume, 0.0), max(volume, 0.0)
     if volume < 0.0:
         low = max(low, np.log1p(-damage))
-    a, beta = _start(volume, mises, flow, slope * jacobian, damage, material)
+    a, beta = _start(
+        volume, mises, jacobian, strain, damage, flow, slope * jacobian, material, kind, hardening
+    )
     converged = False
     first, second, state = _system(
         a, beta, volume, mises, jacobian, strain, damage, material, kind, hardening
