@@ -19,7 +19,8 @@ import numpy as np
 
 from fem.constitutive.compiled import kernel
 from fem.constitutive.hencky import invert
-from fem.constitutive.material import Material, update_point
+from fem.constitutive.laws import Laws
+from fem.constitutive.material import update_point
 from fem.discretisation import Discretisation
 from fem.quadrature_state import QuadratureState
 
@@ -38,12 +39,10 @@ class Assembled:
 
 
 class Assembler:
-    """Assembles a Discretisation with a Material; `alive` cells only."""
+    """Assembles a Discretisation with the materials of its cells; `alive` cells only."""
 
-    def __init__(self, discretisation: Discretisation, material: Material, threads: int) -> None:
-        self.discretisation = discretisation
-        self.material = material.parameters()
-        self.kind, self.hardening = material.hardening.kind, material.hardening.parameters()
+    def __init__(self, discretisation: Discretisation, laws: Laws, threads: int) -> None:
+        self.discretisation, self.laws = discretisation, laws
         self.alive = np.ones(len(discretisation.cells), bool)
         groups = discretisation.groups
         sizes = np.diff(groups.cell_start), np.diff(groups.node_start)
@@ -76,13 +75,14 @@ class Assembler:
 
     def _job(self, first, last, displacement, state, stiffness):
         d, g, old, new = self.discretisation, self.discretisation.groups, state.old, state.new
+        laws = self.laws
         return (
             first, last, self._largest, stiffness, d.element.mean_dilatation,
             (d.cells, d.owned, self.alive, d.gradients, d.volumes, displacement),
             (g.cell_start, g.node_start, g.nodes, g.place),
             (old.plastic, old.strain, old.damage),
             (new.plastic, new.strain, new.damage, new.mises, new.pressure),
-            (self.material, self.kind, self.hardening),
+            (laws.parameters, laws.kinds, laws.starts, laws.hardening, laws.of_cell),
             (d.owned_nodes, d.row_start, g.pair_start, d.position, self.force, self.values),
         )  # fmt: skip
 
@@ -94,6 +94,7 @@ def _assemble_groups(
     """Groups first..last-1; returns (failed points, stored energy, dissipated energy)."""
     cells, owned, alive, gradients, volumes, displacement = mesh
     cell_start, node_start, group_nodes, place = groups
+    parameters, kinds, starts, hardenings, of_cell = law
     nn, nq = cells.shape[1], gradients.shape[1]
     scratch, tangent = np.empty((13, 6)), np.empty((6, 6))
     deformation, jacobian = np.empty((largest[0], nq, 9)), np.empty((largest[0], nq))
@@ -131,6 +132,9 @@ def _assemble_groups(
             if not alive[c]:
                 _keep(c, c + 1, nq, old, new)
                 continue
+            row = of_cell[c]
+            material, kind = parameters[row], kinds[row]
+            hardening = hardenings[starts[row] : starts[row + 1]]
             if stiffness:
                 block[:], initial[:] = 0.0, 0.0
             for q in range(nq):
@@ -140,7 +144,7 @@ def _assemble_groups(
                 weight = volumes[c, q] / ratio**3
                 ok, stress, plastic, strain, damage, energy, work, mises, pressure = update_point(
                     _scaled(deformation, c - start, q, ratio), _six(old[0], c, q), old[1][c, q],
-                    old[2][c, q], law[0], law[1], law[2], stiffness, tangent, scratch,
+                    old[2][c, q], material, kind, hardening, stiffness, tangent, scratch,
                 )  # fmt: skip
                 for k in range(6):
                     new[0][c, q, k] = plastic[k]

@@ -179,13 +179,13 @@ class EquilibriumSolver:
         runs away; the equilibrium itself does not depend on the tangent. True if the share grew, so
         that the tangent at hand does not have it yet.
         """
-        material = self.assembler.material
-        share = material[STIFFENING]
+        shares = self.assembler.laws.parameters[:, STIFFENING]  # the same in all materials
+        share = float(shares[0])
         if factor < 0.5:
-            material[STIFFENING] = min(_LARGEST_SHARE, max(_FIRST_SHARE, 4.0 * share))
+            shares[:] = min(_LARGEST_SHARE, max(_FIRST_SHARE, 4.0 * share))
         else:
-            material[STIFFENING] = 0.25 * share if share > _FIRST_SHARE else 0.0
-        return material[STIFFENING] > share
+            shares[:] = 0.25 * share if share > _FIRST_SHARE else 0.0
+        return bool(shares[0] > share)
 
     def predict(
         self, displacement: np.ndarray, amount: float, change: float, stiff: bool = False
@@ -195,7 +195,7 @@ class EquilibriumSolver:
         stiff: with the largest share of the elastic tangent, where the plain one turns cells that
         hardly resist inside out.
         """
-        self.assembler.material[STIFFENING] = _LARGEST_SHARE if stiff else 0.0
+        self.assembler.laws.parameters[:, STIFFENING] = _LARGEST_SHARE if stiff else 0.0
         result, failed, _, _ = self._assemble(displacement)
         if failed:
             return None
@@ -210,7 +210,7 @@ class EquilibriumSolver:
         if failed:
             return Equilibrium(False, 0, 0.0, 0.0, 0.0, INVERTED_PREDICTION), displacement
         first = norm
-        self.assembler.material[STIFFENING] = 0.0
+        self.assembler.laws.parameters[:, STIFFENING] = 0.0
         for iteration in range(self.maximum_iterations + 1):
             scale = max(self.reference, self.reaction)
             limit = self.tolerance * scale

@@ -23,16 +23,19 @@ def make_patches(cells: np.ndarray, count: int, size: int = PATCH_SIZE) -> np.nd
     return patch.reshape(-1).astype(np.int64)
 
 
-def sound_patches(cells: np.ndarray, count: int, sound: np.ndarray) -> np.ndarray:
+def sound_patches(
+    cells: np.ndarray, count: int, sound: np.ndarray, material: np.ndarray
+) -> np.ndarray:
     """Patch numbers where only the cells with `sound` (nc,) True are joined; others stay alone.
 
     Porous cells can dilate plastically, so they do not lock; in one patch with sound ones they
-    would force their dilation on them.
+    would force their dilation on them. No patch mixes materials (nc,), whose pressures differ.
     """
-    groups = len(cells) + np.arange(len(cells))
-    numbers = np.flatnonzero(sound)
-    if len(numbers):
-        groups[numbers] = make_patches(cells[numbers], count)
+    groups, first = len(cells) + np.arange(len(cells)), 0
+    for row in np.unique(material[sound]):
+        numbers = np.flatnonzero(sound & (material == row))
+        groups[numbers] = first + make_patches(cells[numbers], count)
+        first += len(numbers)
     return np.unique(groups, return_inverse=True)[1]
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from fem.constitutive.gurson import LIMIT
+from fem.constitutive.gurson import LIMIT, Q1
+from fem.constitutive.laws import Laws, checked_materials
 from fem.constitutive.material import Material
 from fem.loading import Load, make_load
 from fem.patches import sound_patches
@@ -34,6 +36,7 @@ class Prepared:
     plan: tuple[np.ndarray, np.ndarray]
     kept: np.ndarray  # original numbers of the kept cells
     groups: np.ndarray  # patch of each kept cell
+    laws: Laws  # of all cells
 
     def summary(self) -> dict:
         """The small part that every rank needs."""
@@ -56,7 +59,8 @@ def prepare(
     points: np.ndarray,
     cells: np.ndarray,
     f0: np.ndarray,
-    material: Material,
+    materials: Sequence[Material],
+    material_of_cell: np.ndarray | None,
     settings: TensileSettings,
     element: Element,
     ranks: int,
@@ -79,16 +83,20 @@ def prepare(
     if damage.shape not in ((), (len(cells), 1), shape):
         raise ValueError(f"f0 has shape {damage.shape}; element {element.name} needs {shape}")
     damage = np.array(np.broadcast_to(damage, shape))
-    limit = material.maximum_damage
-    if not (np.isfinite(damage).all() and damage.min() >= 0 and damage.max() <= limit * (1 + 1e-9)):
+    laws = Laws.of(materials, checked_materials(materials, material_of_cell, len(cells)))
+    largest = 1.0 / laws.per_cell(Q1)
+    if not (
+        np.isfinite(damage).all() and damage.min() >= 0 and (damage <= largest * (1 + 1e-9)).all()
+    ):
         raise ValueError(
-            f"f0 runs from {damage.min()} to {damage.max()}; it must lie in [0, 1/q1 = {limit:.6g}]"
+            f"f0 runs from {damage.min()} to {damage.max()}; it must lie in "
+            f"[0, 1/q1 = {largest.min():.6g}]"
         )
     if settings.damage == "cell":
         damage[:] = (damage @ element.weights / element.weights.sum())[:, None]
     held = Held.of(points, settings.grips)
-    parameters = material.parameters()
-    alive = ~(damage >= parameters[LIMIT]).all(axis=1)
+    limit = laws.per_cell(LIMIT)
+    alive = ~(damage >= limit).all(axis=1)
     bottom, top = held.at_bottom(points), held.at_top(points)
     left = remains(cells, alive, bottom, top)
     load = make_load(settings.load, settings.bending_azimuth, points, cells, held)
@@ -99,7 +107,8 @@ def prepare(
     groups, plan = np.arange(len(kept)), (np.zeros(0), np.zeros(1))
     if len(kept):
         if element.patches:
-            groups = sound_patches(cells[kept], len(points), damage[kept].mean(axis=1) < _SOUND)
+            sound = damage[kept].mean(axis=1) < _SOUND
+            groups = sound_patches(cells[kept], len(points), sound, laws.of_cell[kept])
         plan = destinations(points, cells[kept], groups, ranks)
-    damage = np.minimum(damage, parameters[LIMIT])
-    return Prepared(points, cells, damage, held, load, left, guides, plan, kept, groups)
+    damage = np.minimum(damage, limit)
+    return Prepared(points, cells, damage, held, load, left, guides, plan, kept, groups, laws)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fem.constitutive.gurson import BULK, SHEAR
+from fem.constitutive.laws import Laws
 from fem.constitutive.material import identity_plastic, stiffness_left
 
 
@@ -49,15 +50,15 @@ class QuadratureState:
         mean = self.new.damage @ (weights / weights.sum())
         self.new.damage[:] = mean[:, None]
 
-    def freed_energy(self, volumes: np.ndarray, material: np.ndarray) -> float:
+    def freed_energy(self, volumes: np.ndarray, laws: Laws) -> float:
         """Elastic energy that the loss of stiffness from old to new f sets free [J].
 
-        volumes: (nl, nq) [m^3], zero where a point is another rank's; material: parameter vector.
+        volumes: (nl, nq) [m^3], zero where a point is another rank's.
         """
-        before = stiffness_left(self.old.damage, material)
-        after = stiffness_left(self.new.damage, material)
-        stored = self.new.pressure**2 / (2.0 * material[BULK])
-        stored += self.new.mises**2 / (6.0 * material[SHEAR])
+        before = stiffness_left(self.old.damage, laws.parameters, laws.of_cell)
+        after = stiffness_left(self.new.damage, laws.parameters, laws.of_cell)
+        stored = self.new.pressure**2 / (2.0 * laws.per_cell(BULK))
+        stored += self.new.mises**2 / (6.0 * laws.per_cell(SHEAR))
         return float((volumes * stored / before * (1.0 - after / before)).sum())
 
     def commit(self) -> None:

@@ -275,5 +275,8 @@ def _fingerprint(test) -> str:
     for array in (prepared.points, prepared.cells, prepared.damage):
         digest.update(np.ascontiguousarray(array).tobytes())
     settings = test.settings
-    digest.update(repr((test.material, settings.element, settings.grips, test.load)).encode())
+    materials = test.materials if len(test.materials) > 1 else test.materials[0]
+    digest.update(repr((materials, settings.element, settings.grips, test.load)).encode())
+    if len(test.materials) > 1:
+        digest.update(prepared.laws.of_cell.tobytes())
     return digest.hexdigest()

@@ -20,6 +20,7 @@ from mpi4py import MPI
 from fem import compat
 from fem.assembly import Assembler
 from fem.constitutive.gurson import LAGGED, LIMIT
+from fem.constitutive.laws import Laws
 from fem.constitutive.material import Material
 from fem.damage_length import DamageLength
 from fem.discretisation import Discretisation, build
@@ -89,12 +90,13 @@ def tensile_test(
     points: np.ndarray | None,
     cells: np.ndarray | None,
     f0: np.ndarray | None,
-    material: Material,
+    material: Material | Sequence[Material],
     settings: TensileSettings | None = None,
     comm: MPI.Comm = MPI.COMM_WORLD,
     progress: Progress | None = None,
     observers: Sequence[Callable[[Increment], None]] = (),
     resume: str | os.PathLike | None = None,
+    material_of_cell: np.ndarray | None = None,
 ) -> TensileResult:
     """Pull (or twist, or bend) a solid and return its force-elongation curve.
 
@@ -102,6 +104,8 @@ def tensile_test(
     ----------
     points: (n, 3) vertices [m]; cells: (nc, 4); f0: (nc, nq) damage variable in [0, f_max] at the
     points of `fem.quadrature.quadrature_points`, or (nc,) or a scalar. Read on rank 0 only.
+    material: of the whole solid, or several with material_of_cell: (nc,) their numbers from 0 on,
+    read on rank 0.
     observers: called after each accepted increment; resume: a checkpoint (see `fem.results`).
 
     Raises ValueError for input outside its range. Results do not depend on the number of ranks
@@ -109,10 +113,13 @@ def tensile_test(
     """
     settings = settings or TensileSettings()
     element = find_element(settings.element)
+    materials = (material,) if isinstance(material, Material) else tuple(material)
     error, prepared = None, None
     if comm.rank == 0:
         try:
-            prepared = prepare(points, cells, f0, material, settings, element, comm.size)
+            prepared = prepare(
+                points, cells, f0, materials, material_of_cell, settings, element, comm.size
+            )
         except ValueError as problem:
             error = str(problem)
     error = comm.bcast(error)
@@ -130,7 +137,7 @@ def tensile_test(
             zero, zero.copy(), summary["load"], summary["held"].length, 0.0, 0.0, status,
             **summary["counts"],
         )  # fmt: skip
-    return _Test(comm, prepared, summary, material, settings, element).run(
+    return _Test(comm, prepared, summary, materials, settings, element).run(
         progress, observers, resume
     )
 
@@ -139,11 +146,11 @@ class _Test:
     """One test on one communicator."""
 
     def __init__(
-        self, comm, prepared, summary, material, settings: TensileSettings, element: Element
+        self, comm, prepared, summary, materials, settings: TensileSettings, element: Element
     ):
         self.started = time.perf_counter()
         self.comm, self.settings, self.summary = comm, settings, summary
-        self.material = material
+        self.materials = materials
         self.prepared, self.held = prepared, summary["held"]
         threads = settings.threads or (os.cpu_count() or 1 if comm.size == 1 else 1)
         root = comm.rank == 0
@@ -155,13 +162,17 @@ class _Test:
         )
         groups = self._scatter(local.original_cells, lambda: prepared.groups)
         self.discretisation = build(local, element, groups, threads)
-        self.assembler = Assembler(self.discretisation, material, threads)
-        self.assembler.material[LAGGED] = float(settings.damage != "implicit")
+        of_cell = self._scatter(
+            self.discretisation.original_cells, lambda: prepared.laws.of_cell[prepared.kept]
+        )
+        self.laws = Laws.of(materials, of_cell)
+        self.laws.parameters[:, LAGGED] = float(settings.damage != "implicit")
+        self.assembler = Assembler(self.discretisation, self.laws, threads)
         damage = self._scatter(
             self.discretisation.original_cells, lambda: prepared.damage[prepared.kept]
         )
         self.state = QuadratureState(damage)
-        self.limit = material.parameters()[LIMIT]
+        self.limit = self.laws.per_cell(LIMIT)
         self.load = summary["load"]
         self.fixed, moved = self._fixed_unknowns()
         self.grip = MovingGrip(comm, self.load, local.coordinates, moved, local.owned_nodes)
@@ -281,7 +292,7 @@ class _Test:
             state.average_damage(d.element.weights)
         if self.settings.damage_length > 0.0:
             self._spread_damage()
-        freed = state.freed_energy(d.volumes * d.owned[:, None], self.assembler.material)
+        freed = state.freed_energy(d.volumes * d.owned[:, None], self.laws)
         state.commit()
         return float(self.comm.allreduce(freed))
 

@@ -154,10 +154,11 @@ def _stiffness_left(damage: float, material: np.ndarray) -> float:
 
 
 @kernel
-def stiffness_left(damage: np.ndarray, material: np.ndarray) -> np.ndarray:
-    """`_stiffness_left` for an array of f (nc, nq); material: the parameter vector."""
+def stiffness_left(damage: np.ndarray, parameters: np.ndarray, of_cell: np.ndarray) -> np.ndarray:
+    """`_stiffness_left` for an array of f (nc, nq); parameters, of_cell: see `laws.Laws`."""
     left = np.empty_like(damage)
     for c in range(damage.shape[0]):
+        material = parameters[of_cell[c]]
         for q in range(damage.shape[1]):
             left[c, q] = _stiffness_left(damage[c, q], material)
     return left

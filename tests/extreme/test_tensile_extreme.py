@@ -22,10 +22,10 @@ FINAL = ("completed", "past_peak", "severed", "fully_corroded")
 ELEMENTS = ["P1", "P1-Fbar", "P2"]
 
 
-def pull(points, cells, f0, material=MAGNESIUM, element="P2", **settings):
+def pull(points, cells, f0, material=MAGNESIUM, element="P2", material_of_cell=None, **settings):
     """A test whose result is checked for soundness."""
-    settings = {"maximum_strain": 0.03, "full_curve": True, **settings}
-    result = tensile_test(points, cells, f0, material, TensileSettings(element=element, **settings))
+    settings = TensileSettings(element, **{"maximum_strain": 0.03, "full_curve": True, **settings})
+    result = tensile_test(points, cells, f0, material, settings, material_of_cell=material_of_cell)
     assert result.status in FINAL or result.status.startswith("stopped: ")
     assert np.isfinite(result.force).all() and np.isfinite(result.elongation).all()
     assert np.all(np.diff(result.elongation) >= 0)
@@ -194,3 +194,23 @@ def test_pieces_that_touch_only_in_a_vertex_or_hang_free():
     result = pull(three, np.concatenate([joined, cells + len(column)]), 0.0, element="P1")
     assert result.status == "completed" and result.loose_pieces == 1
     assert result.loose_cells == len(cells)
+
+
+@pytest.mark.parametrize("element", ELEMENTS)
+@pytest.mark.parametrize("ratio", [1e-6, 1e6])
+def test_two_materials_of_stiffness_ratio_1e6(element, ratio):
+    """Random cells, a tenth of a waisted bar, or one half of it, of another stiffness."""
+    points, cells = BAR
+    other = Material(43e9 * ratio, 0.3, VoceHardening(130e6 * ratio, 156e6 * ratio, 10.6))
+    scattered = np.random.default_rng(4).random(len(cells)) < 0.1
+    half = points[cells, 2].mean(axis=1) > 2e-3
+    plain = pull(*BAR, 0.0, element=element).peak_force
+    # of a bar of one material, soft: measured 0.82 to 0.84, 1.2e-6 to 1.6e-6; stiff: 1.02 to 1.50
+    # (P1 locks) and 1.21 to 1.60
+    bounds = {1e-6: ((0.75, 0.9), (1e-6, 2e-6)), 1e6: ((1.0, 1.7), (1.1, 1.8))}[ratio]
+    for chosen, (least, most) in zip((scattered, half), bounds, strict=True):
+        result = pull(
+            *BAR, 0.0, [MAGNESIUM, other], element, chosen.astype(int), maximum_strain=0.02
+        )
+        assert result.status == "completed"
+        assert least < result.peak_force / plain < most

@@ -6,11 +6,12 @@ import numpy as np
 from mpi4py import MPI
 
 from fem.constitutive import Material, VoceHardening
+from fem.constitutive.hardening import TabulatedHardening
 from fem.tensile_test import TensileSettings, tensile_test
 from tests.fem.meshes import round_bar
 
 if __name__ == "__main__":
-    output, solver, load = sys.argv[1:]
+    output, solver, load, materials = sys.argv[1:]
     points, cells = round_bar(3, 4, 1e-3, 4e-3, waist=0.3)
     f0 = np.random.default_rng(1).uniform(0, 0.3, (len(cells), 4))
     f0[:20] = 2 / 3
@@ -20,6 +21,12 @@ if __name__ == "__main__":
         maximum_strain=0.01, full_curve=True, tolerance=1e-8, linear_solver=solver, load=load
     )
     material = Material(43e9, 0.3, VoceHardening(130e6, 156e6, 10.6))
-    result = tensile_test(points, cells, f0, material, settings)
+    several = {}
+    if materials == "two":
+        steel = TabulatedHardening((0.0, 0.1), (300e6, 420e6))
+        material = [material, Material(207e9, 0.29, steel)]
+        above = None if points is None else points[cells, 2].mean(axis=1) > 2e-3
+        several["material_of_cell"] = None if above is None else above.astype(int)
+    result = tensile_test(points, cells, f0, material, settings, **several)
     if MPI.COMM_WORLD.rank == 0:
         np.savez(output, motion=result.motion, reaction=result.reaction, dead=result.dead_cells)

@@ -10,6 +10,7 @@ from mpi4py import MPI
 from fem import compat
 from fem.assembly import Assembler, multiply
 from fem.constitutive import Material, VoceHardening
+from fem.constitutive.laws import Laws
 from fem.discretisation import build
 from fem.patches import make_patches
 from fem.quadrature import find_element
@@ -30,7 +31,8 @@ def assembler_of(element, damage, threads=1, shape=(2, 2, 3)):
     local = compat.distribute(MPI.COMM_SELF, points, cells, plan, kind.order)
     discretisation = build(local, kind, groups[local.original_cells], threads)
     state = QuadratureState(np.full((len(cells), kind.points), damage))
-    return Assembler(discretisation, MAGNESIUM, threads), state
+    laws = Laws.of([MAGNESIUM], np.zeros(len(local.original_cells)))
+    return Assembler(discretisation, laws, threads), state
 
 
 def smooth_motion(coordinates, size):
