@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from peri.corrosion.kinetics import VolumeLossLaw
+from peri.corrosion.kinetics import KINETICS
 from peri.corrosion.planning import Omission, corrode_lean, plan_omissions
 from peri.corrosion.run import CorrosionResult
 from peri.corrosion.scene import CorrosionScene
@@ -22,6 +22,7 @@ from peri.lattice import Lattice, ball, box_lattice, cylinder
 from peri.marching import TimeStepping
 from peri.results import write_corrosion, write_history, write_image_series
 from pipeline.geometry_stage import read_surface
+from pipeline.rate_law import read_kinetics
 from pipeline.scene import CorrosionParameters, Scene
 from pipeline.surface import Solid
 from pipeline.voxels import metal_fraction
@@ -97,6 +98,14 @@ def dissolution_flux(parameters: CorrosionParameters, kernel_exponent: float) ->
     return parameters.interface_diffusivity * parameters.solid_concentration * strength
 
 
+def rate_law(scene: Scene, alloy: str) -> object:
+    """The kinetics of an alloy; l of the volume-loss law is the parameter set's unless given."""
+    name, numbers = read_kinetics(scene.corrosion.kinetics)
+    if name == "volume_loss":
+        numbers.setdefault("length", scene.alloy(alloy).corrosion.volume_loss_scale)
+    return KINETICS[name](**numbers)
+
+
 def corrosion_scene(
     scene: Scene,
     alloy: str,
@@ -123,7 +132,7 @@ def corrosion_scene(
         saturation_concentration=parameters.saturation_concentration,
         liquid_diffusivity=parameters.liquid_diffusivity,
         dissolution_flux=dissolution_flux(parameters, settings.kernel_exponent),
-        kinetics=VolumeLossLaw(parameters.volume_loss_scale),
+        kinetics=rate_law(scene, alloy),
         kernel_exponent=settings.kernel_exponent,
         influence=settings.influence,
         calibration=settings.calibration,

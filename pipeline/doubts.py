@@ -82,7 +82,7 @@ def _corrosion_error(scene: Scene) -> CorrosionError | None:
         _alike(scene.lattice, preset, spacing="spacing", horizon="horizon")
         and _alike(scene.corrosion, preset, rate_change="rate_change")
         and _default(scene.corrosion, "scheme", "step", "saturation", "dissolution")
-        and _default(scene.corrosion, "calibration", "influence")
+        and _default(scene.corrosion, "kinetics", "calibration", "influence")
     ):
         return None
     return preset.corrosion_error

@@ -5,6 +5,7 @@ import dataclasses
 from pathlib import Path
 
 from pipeline.loads import LOADS
+from pipeline.rate_law import KINETICS
 from pipeline.resolution import RESOLUTIONS
 from pipeline.scene import (
     BOUNDARIES,
@@ -61,6 +62,12 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
     corrosion.add_argument("--rate-change", type=float, metavar="X", help="step control")
     corrosion.add_argument("--scheme", metavar="S", help=", ".join(TIME_SCHEMES))
     corrosion.add_argument("--saturation", metavar="S", help=", ".join(SATURATIONS))
+    corrosion.add_argument(
+        "--kinetics",
+        metavar="LAW",
+        help=f"of the rate: {', '.join(KINETICS)}; with numbers (SI): "
+        "tafel:overpotential=0.02,slope=0.1 (volume_loss, l from the parameter set)",
+    )
     corrosion.add_argument(
         "--dissolution",
         metavar="LAW",
@@ -135,6 +142,7 @@ def scene_from_options(options: argparse.Namespace) -> Scene:
         scheme="scheme",
         saturation="saturation",
         dissolution="dissolution",
+        kinetics="kinetics",
         calibration="calibration",
         rate_change="rate_change",
         tolerance="tolerance",
@@ -157,7 +165,7 @@ def scene_from_options(options: argparse.Namespace) -> Scene:
     for name in ("bottom_grip", "top_grip", "damage_length"):
         if getattr(options, name) is not None:
             tensile[name] = length(name)
-    return resolve_scene(
+    scene = resolve_scene(
         options.alloy,
         options.immersion,
         options.resolution,
@@ -172,6 +180,11 @@ def scene_from_options(options: argparse.Namespace) -> Scene:
         tensile=tensile,
         measured_volume_loss=_measured(options),
     )
+    if options.kinetics is not None:
+        from pipeline.corrosion_stage import rate_law
+
+        rate_law(scene, scene.alloys[0].name)  # refuses numbers out of range
+    return scene
 
 
 def _geometry(options: argparse.Namespace) -> ScrewGeometry | SolidFile:

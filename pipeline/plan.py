@@ -300,6 +300,15 @@ def scene_omissions(scene: Scene) -> list[Omission]:
             "part of the scene",
         ),
     ]
+    if scene.corrosion.kinetics != "volume_loss":
+        found.append(
+            Omission(
+                "the published kinetics",
+                f"the rate follows {scene.corrosion.kinetics} (--kinetics); published, and fitted "
+                "with the parameter set, is volume_loss with the l of that set",
+                "an assumption (peri/README.md)",
+            )
+        )
     if scene.corrosion.dissolution == "faradaic":
         found.append(
             Omission(

@@ -47,6 +47,7 @@ _TITLES = {
     "samples": "Samples per axis and cell",
     "size": "Edge length",
     "size_fine": "Edge length at thread and slot",
+    "kinetics": "Law of the rate",
     "dissolution": "Law of a bond between metal and liquid",
     "step": "Fixed time step",
     "rate_change": "Change of rate per time step",
@@ -130,16 +131,21 @@ def _corrosion_rows(scene: Scene, alloy: AlloyScene) -> list[ParameterRow]:
 
 
 def _law_rows(scene: Scene) -> list[ParameterRow]:
-    """The law of a bond where it is not the one that the parameter set was fitted with."""
-    law = scene.corrosion.dissolution
-    if law == "proportional":
-        return []
-    remark = (
-        "a bond carries the whole flux until its metal node is empty; D_int, C_sat and l were "
-        "fitted with a flux in proportion to what the node still holds"
-    )
-    title = _title("dissolution")
-    return [ParameterRow("Corrosion", "", title, "", law, "", "assumed", remark=remark)]
+    """The laws of rate and bond where the parameter set was not fitted with them."""
+    chosen, rows = scene.corrosion, []
+    if chosen.kinetics != "volume_loss":
+        remark = "D_int was fitted with a rate that falls with the volume loss (l)"
+        rows.append(("kinetics", chosen.kinetics, remark))
+    if chosen.dissolution != "proportional":
+        remark = (
+            "a bond carries the whole flux until its metal node is empty; D_int, C_sat and l were "
+            "fitted with a flux in proportion to what the node still holds"
+        )
+        rows.append(("dissolution", chosen.dissolution, remark))
+    return [
+        ParameterRow("Corrosion", "", _title(name), "", law, "", "assumed", remark=remark)
+        for name, law, remark in rows
+    ]
 
 
 def _fitted_quantities(scene: Scene, alloy: AlloyScene) -> tuple[dict[str, Quantity], float]:

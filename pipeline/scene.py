@@ -17,6 +17,7 @@ from fem.quadrature import ELEMENTS
 from peri.marching import SCHEMES as TIME_SCHEMES
 from pipeline.loads import LOADS
 from pipeline.machine import version
+from pipeline.rate_law import read_kinetics
 from pipeline.screw import ScrewParameters
 from pipeline.units import ImmersionTime, format_length
 
@@ -116,6 +117,7 @@ class DomainSettings:
 class CorrosionSettings:
     """How the bi-material model is solved: law of a bond, time stepping, saturation, constants.
 
+    kinetics: how the rate changes, NAME or NAME:number=value,... (pipeline.rate_law).
     dissolution: what a bond between metal and liquid carries (peri.corrosion.scene).
     step: fixed time step (s); None lets rate_change control it (peri.marching.TimeStepping).
     tolerance: error of V_L, relative, up to which the march leaves out what the scene does not
@@ -126,6 +128,7 @@ class CorrosionSettings:
     step: float | None = None
     rate_change: float = 0.05
     saturation: str = "complementarity"
+    kinetics: str = "volume_loss"
     dissolution: str = "proportional"
     calibration: str = "discrete"
     influence: str = "constant"
@@ -143,6 +146,10 @@ class CorrosionSettings:
         _one_of("time scheme", self.scheme, TIME_SCHEMES)
         _one_of("saturation", self.saturation, SATURATIONS)
         _one_of("dissolution", self.dissolution, DISSOLUTION_LAWS)
+        try:
+            read_kinetics(self.kinetics)
+        except ValueError as error:
+            raise SceneError(str(error)) from None
         if self.saturation == "as_published":
             implicit = "backward_euler or forward_euler where saturation is as_published"
             _check(self.scheme != "sdirk2", "time scheme", self.scheme, implicit)

@@ -1,5 +1,6 @@
 """The command line: each refusal is one sentence, exit code 2, and leaves nothing behind."""
 
+import argparse
 import json
 import re
 from pathlib import Path
@@ -7,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import perilife_data
-from pipeline import machine, provenance
+from pipeline import corrosion_stage, machine, provenance
 from pipeline.bench import BENCHMARKS, Benchmark, Result
 from pipeline.cli import main, sentence
 from pipeline.opening import open_run
@@ -55,6 +56,8 @@ def _changed(*changes: str) -> list[str]:
         (_changed("--resolution", "medium"), ["medium", "quick, standard, fine"]),
         (_changed("--parameters", "table-9"), ["table-9", "table-5.1"]),
         (_changed("--saturation", "maybe"), ["maybe", "complementarity"]),
+        (_changed("--kinetics", "tafel:overpotential=0.1,slope=-1"), ["slope: -1.0", "positive"]),
+        (_changed("--kinetics", "tafel"), ["'tafel'", "overpotential, slope"]),
         (_changed("--dissolution", "linear"), ["'linear'", "one of proportional, faradaic"]),
         (
             _changed("--dissolution", "faradaic", "--saturation", "as_published")
@@ -331,6 +334,29 @@ def test_the_law_of_a_bond_is_a_choice(tmp_path, capsys):
         assert any(row.value == "faradaic" for row in rows) == (law == "faradaic")
     # measured 15.05 % against 13.54 %, 1.111 times
     assert 1.08 < lost["faradaic"] / lost["proportional"] < 1.14
+
+
+@pytest.mark.parametrize(
+    "law, factors",
+    [
+        (None, (1.0, 10 ** (-0.1 / 0.2355))),  # l of Table 5.1 for Mg-5Gd
+        ("constant", (1.0, 1.0)),
+        ("volume_loss:length=0.1", (1.0, 0.1)),
+        ("tafel:overpotential=0.02,slope=0.1", (10**0.2, 10**0.2)),
+    ],
+)
+def test_the_law_of_the_rate_is_a_choice(capsys, law, factors):
+    changes = [] if law is None else ["--kinetics", law]
+    parser = argparse.ArgumentParser()
+    add_scene_options(parser)
+    scene = scene_from_options(parser.parse_args(_changed(*changes)))
+    found = corrosion_stage.rate_law(scene_from_json(scene.to_json()), "Mg-5Gd")
+    assert [found.factor(v) for v in (0.0, 0.1)] == pytest.approx(factors, rel=1e-12)
+    rows = provenance.to_be_listed(provenance.parameter_rows(scene))
+    assert any(row.value == law for row in rows) == (law is not None)
+    assert main(["plan", *_changed(*changes), "--json"]) == 0
+    named = [item["what"] for item in json.loads(capsys.readouterr().out)["omissions"]]
+    assert ("the published kinetics" in named) == (law is not None)
 
 
 def test_studies_are_listed_and_refused_in_one_sentence(tmp_path, capsys):

@@ -9,6 +9,7 @@ import pytest
 
 from pipeline.loads import LOADS
 from pipeline.options import add_scene_options, scene_from_options
+from pipeline.rate_law import KINETICS
 from pipeline.scene import (
     DAMAGE_UPDATES,
     DISSOLUTION_LAWS,
@@ -149,6 +150,10 @@ def test_unknown_missing_and_mistyped_fields_are_named(scene):
         (lambda: MeshSettings(1e-4, 2e-4), "fine mesh size is 200 um"),
         (lambda: CorrosionSettings(step=0.0), "corrosion step is 0.0"),
         (lambda: CorrosionSettings(saturation="maybe"), "saturation is 'maybe'"),
+        (lambda: CorrosionSettings(kinetics="linear"), "kinetics is 'linear'"),
+        (lambda: CorrosionSettings(kinetics="constant:a=1"), "numbers of constant must be none"),
+        (lambda: CorrosionSettings(kinetics="tafel:slope=0.1"), "must be overpotential, slope"),
+        (lambda: CorrosionSettings(kinetics="tafel:slope=x"), "must be number=value"),
         (lambda: CorrosionSettings(saturation="as_published"), "time scheme is sdirk2"),
         (
             lambda: CorrosionSettings(
@@ -219,9 +224,16 @@ def test_time_zero_is_added_in_front_for_the_strength_ratio(scene):
 
 
 def test_the_names_of_what_a_march_may_leave_out_are_those_of_peri():
-    from peri.corrosion import planning, scene
+    from peri.corrosion import kinetics, planning, scene
 
     assert OMITTABLE == planning.OMISSIONS
+    assert set(KINETICS) == set(kinetics.KINETICS)
+    for name, law in kinetics.KINETICS.items():
+        own = dataclasses.fields(law)
+        optional = [f.default is not dataclasses.MISSING or name == "volume_loss" for f in own]
+        assert KINETICS[name] == tuple(
+            f.name + "?" * may for f, may in zip(own, optional, strict=True)
+        )
     assert DISSOLUTION_LAWS == scene.DISSOLUTION_LAWS
     assert CorrosionSettings().tolerance == planning.DEFAULT_TOLERANCE
 
