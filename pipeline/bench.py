@@ -134,7 +134,7 @@ BENCHMARKS: dict[str, Benchmark] = {
         bench_corrosion.small_pitting,
     ),
     "tensile": Benchmark(
-        "constitutive update, and one quick pull of the screw after 8 weeks (a minute)",
+        "constitutive update, assembly, one quick pull of the screw after 8 weeks (a minute)",
         bench_tensile.tensile,
         bench_tensile.small_tensile,
     ),
