@@ -159,7 +159,8 @@ class Checkpoint:
             name: getattr(increment, name)
             for name in ("previous_size", "strain", "size", "peak", "work", "dissipated")
         }
-        march |= {"reference": test.solver.reference, "lost_cells": test.lost_cells}
+        march |= {"reference": test.solver.reference}
+        march |= {"lost_cells": test.lost_cells, "torn_cells": test.torn_cells}
         self.path.parent.mkdir(parents=True, exist_ok=True)
         temporary = self.path.with_name(f".{self.path.name}.part")
         with h5py.File(temporary, "w") as file:
@@ -210,6 +211,7 @@ def restore(test: Any, path: str | Path) -> tuple:
     test.fixed[unused] = True
     test.solver.reference = march.pop("reference")
     test.lost_cells = int(march.pop("lost_cells"))
+    test.torn_cells = int(march.pop("torn_cells", 0))
     names = ("previous_size", "strain", "size", "peak", "work", "dissipated")
     return (displacement, previous, *(march[name] for name in names), rows)
 

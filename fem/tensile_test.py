@@ -33,9 +33,11 @@ from fem.results import Increment, restore
 from fem.settings import TensileSettings
 from fem.solid import remains
 from fem.solvers import LinearSolver
+from fem.tearing import torn_cells
 
 log = logging.getLogger(__name__)
 
+_FAILURES = 4  # in a row, after which cells are taken as torn or Newton goes on for longer
 _EASY, _HARD = 5, 8  # Newton iterations below which increments grow, above which they shrink
 
 
@@ -63,6 +65,7 @@ class TensileResult:
     loose_cells: int = 0  # removed before the test: not joined to both grips
     loose_pieces: int = 0
     lost_cells: int = 0  # removed during the test
+    torn_cells: int = 0  # of these, taken as torn so that the test could go on (`fem.tearing`)
     history: dict[str, np.ndarray] = field(default_factory=dict)
     cost: dict[str, float] = field(default_factory=dict)
     displacement: np.ndarray | None = None  # (n, 3) of the input's vertices at the end [m], rank 0
@@ -182,7 +185,7 @@ class _Test:
             settings.tolerance, settings.maximum_iterations,
         )  # fmt: skip
         self.setup_seconds = time.perf_counter() - self.started
-        self.lost_cells = 0
+        self.lost_cells = self.torn_cells = 0
         if root and settings.damage_length > 0.0:
             self.average = DamageLength(*self._compact(), settings.damage_length)
 
@@ -221,7 +224,7 @@ class _Test:
         previous, previous_size = None, 0.0
         strain, size, status = 0.0, min(s.first_increment, s.maximum_strain), "completed"
         rows: list[dict[str, float]] = [self._row(0.0, 0.0, 0, 0, 0.0, 0.0, 0.0)]
-        halvings, peak, work, dissipated = 0, 0.0, 0.0, 0.0
+        halvings, failures, peak, work, dissipated = 0, 0, 0.0, 0.0, 0.0
         if resume is not None:
             (displacement, previous, previous_size, strain, size, peak, work, dissipated,
              rows) = restore(self, resume)  # fmt: skip
@@ -234,7 +237,17 @@ class _Test:
                 reason = "no prediction" if outcome is None else outcome.reason
                 log.info("strain %.5f: %s, halving the increment", strain + size, reason)
                 size *= 0.5
-                halvings += 1
+                halvings, failures = halvings + 1, failures + 1
+                if failures >= _FAILURES and self._remove(self._torn(displacement)):
+                    size, failures, previous = size * 2.0**failures, 0, None
+                    self.solver.maximum_iterations = s.maximum_iterations
+                    if self._parted():
+                        status = "past_peak"
+                        rows.append(self._row(strain * extent, 0.0, 0, 0, work, 0.0, dissipated))
+                        break
+                elif failures >= _FAILURES:
+                    # what is left to settle is the last removal, which no smaller step makes less
+                    self.solver.maximum_iterations = 2 * s.maximum_iterations
                 if size < s.minimum_increment:
                     status = f"stopped: {reason} at strain {strain:.5f}"
                     break
@@ -265,8 +278,9 @@ class _Test:
                 size = min(1.5 * size, s.maximum_increment)
             elif outcome.iterations > _HARD:
                 size *= 0.7
-            halvings = 0
-            removed = self._remove_dead()
+            halvings = failures = 0
+            self.solver.maximum_iterations = s.maximum_iterations
+            removed = self._remove((self.state.old.damage >= self.limit).all(axis=1))
             previous = None if removed else previous
             for observer in observers:
                 observer(
@@ -351,10 +365,20 @@ class _Test:
             "seconds": time.perf_counter() - self.started,
         }
 
-    def _remove_dead(self) -> bool:
-        """Remove cells whose points all reached the limit, and what they held; True if any."""
+    def _torn(self, displacement: np.ndarray) -> np.ndarray:
+        """Cells taken as torn at the last equilibrium (nl,); counts them."""
         d, alive = self.discretisation, self.assembler.alive
-        dead = alive & (self.state.old.damage >= self.limit).all(axis=1)
+        torn = alive & torn_cells(d, displacement, self.state.old.damage, self.laws)
+        count = int(self.comm.allreduce(int((torn & d.owned).sum())))
+        self.torn_cells += count
+        if count:
+            log.info("%d cells are taken as torn", count)
+        return torn
+
+    def _remove(self, cells: np.ndarray) -> bool:
+        """Remove cells (nl,) at the limit of f or torn, and what they held; True if any."""
+        d, alive = self.discretisation, self.assembler.alive
+        dead = alive & cells
         newly = int(self.comm.allreduce(int((dead & d.owned).sum())))
         if newly == 0:
             return False
@@ -377,7 +401,7 @@ class _Test:
         unused = np.ones(len(d.coordinates), bool)
         unused[d.cells[alive]] = False
         self.fixed[unused] = True
-        log.info("%d cells reached the largest damage, %d more came loose", newly, before - after)
+        log.info("%d cells removed, %d more came loose", newly, before - after)
         return True
 
     def _parted(self) -> bool:
@@ -402,7 +426,7 @@ class _Test:
         at, peak = peak_of_curve(motion, reaction)
         return TensileResult(
             motion, reaction, self.load, self.held.length, peak, at, status,
-            lost_cells=self.lost_cells, history=history, cost=cost,
+            lost_cells=self.lost_cells, torn_cells=self.torn_cells, history=history, cost=cost,
             displacement=self._gather_displacement(displacement), **self.summary["counts"],
         )  # fmt: skip
 

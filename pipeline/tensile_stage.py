@@ -191,7 +191,7 @@ def _write_result(out: Path, result: object, load: str) -> None:
     for row in zip(*columns.values(), strict=True):
         lines.append(",".join(f"{value:.10g}" for value in row))
     write_text(out / CURVE_FILE, "\n".join(lines) + "\n")
-    counts = ("cells", "dead_cells", "loose_cells", "loose_pieces", "lost_cells")
+    counts = ("cells", "dead_cells", "loose_cells", "loose_pieces", "lost_cells", "torn_cells")
     turned = {} if load == "axial" else {"angle_at_peak": float(result.motion_at_peak)}
     write_json(
         out / RESULT_FILE,

@@ -122,7 +122,8 @@ def write_run(path, scene, points, cells):
             energy = {"work_J": work, "stored_J": 0.2 * work, "dissipated_J": 0.798 * work}
             write_csv(place / "tensile.csv", columns | energy)
             status = "severed" if ratio == 0 else "completed"
-            (place / "tensile.json").write_text(json.dumps({"status": status}))
+            found = {"status": status, "cells": 3698, "torn_cells": 7 if ratio < 0.7 else 0}
+            (place / "tensile.json").write_text(json.dumps(found))
             record(folder, place, "pull", 12.0)
             rows.append(
                 SummaryRow(
@@ -265,6 +266,7 @@ def test_doubt_and_cost_are_stated(full):
     assert f"1 min 20 s → {format_seconds(80 * quick.half_error_cost)}" in sure  # 2 x 40 s
     assert "measured up to 8 weeks in this very scene" in sure
     assert "beyond reach" in sure and "0.042 % of the volume loss" in sure
+    assert "7 of 3,698" in sure  # cells let go
     assert "needed" not in sure  # what was not left out is not listed
     assert "+0.54 %" in page.sections["made"]  # 9.3 / 9.25
 

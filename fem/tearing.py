@@ -1,0 +1,36 @@
+"""Cells that are taken as torn where no increment, however small, finds equilibrium.
+
+Metal that has nearly lost its strength to damage still flows without limit: the law knows no
+fracture. A shred of it that is drawn out to several times its length, often on nodes of its own,
+has many states of next to no force, and Newton's method none to settle in.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fem.constitutive.gurson import Q1
+from fem.constitutive.laws import Laws
+from fem.discretisation import Discretisation
+
+STRENGTH_LEFT = 0.05
+"""Largest share 1 - q1 f of the strength that a torn cell may still have."""
+STRETCH = 2.0
+"""Least principal stretch in a torn cell, anywhere in it."""
+
+
+def torn_cells(
+    discretisation: Discretisation, displacement: np.ndarray, damage: np.ndarray, laws: Laws
+) -> np.ndarray:
+    """Local cells (nl,) bool to be taken as torn, at an equilibrium.
+
+    displacement (n, 3) [m]; damage (nl, nq).
+    """
+    d = discretisation
+    torn = (1.0 - laws.per_cell(Q1) * damage <= STRENGTH_LEFT).all(axis=1)
+    weak = np.flatnonzero(torn)
+    moved = displacement[d.cells[weak]]
+    gradient = np.eye(3) + np.einsum("cai,cqaj->cqij", moved, d.gradients[weak])
+    stretch = np.linalg.svd(gradient, compute_uv=False)[..., 0]
+    torn[weak] = (stretch > STRETCH).any(axis=1)
+    return torn
