@@ -78,6 +78,11 @@ class TensileSettings:
             raise ValueError(
                 f"tensile linear_solver is {self.linear_solver!r}; allowed are {', '.join(SOLVERS)}"
             )
+        if self.linear_solver == "pmg" and find_element(self.element).order == 1:
+            raise ValueError(
+                f"tensile linear_solver is 'pmg'; element {self.element} has no coarser one, "
+                "P2 and P2-Fbar have"
+            )
         if self.load not in LOADS:
             raise ValueError(f"tensile load is {self.load!r}; allowed are {', '.join(LOADS)}")
         if not np.isfinite(self.bending_azimuth):

@@ -179,7 +179,9 @@ class _Test:
         self.load = summary["load"]
         self.fixed, moved = self._fixed_unknowns()
         self.grip = MovingGrip(comm, self.load, local.coordinates, moved, local.owned_nodes)
-        self.linear = LinearSolver(comm, self.discretisation, settings.linear_solver)
+        self.linear = LinearSolver(
+            comm, self.discretisation, self.fixed, settings.linear_solver
+        )
         self.solver = EquilibriumSolver(
             comm, self.assembler, self.linear, self.state, self.fixed, self.grip,
             settings.tolerance, settings.maximum_iterations,
@@ -401,6 +403,7 @@ class _Test:
         unused = np.ones(len(d.coordinates), bool)
         unused[d.cells[alive]] = False
         self.fixed[unused] = True
+        self.linear.fixed_changed()
         log.info("%d cells removed, %d more came loose", newly, before - after)
         return True
 

@@ -39,7 +39,7 @@ def check(tmp_path, cases, load="axial", materials="one"):
 
 
 def test_two_ranks_do_not_change_the_curve(tmp_path):
-    check(tmp_path, [(2, "mumps")])
+    check(tmp_path, [(2, "mumps"), (2, "pmg")])
 
 
 def test_two_ranks_do_not_change_the_bar_of_two_materials(tmp_path):

@@ -49,7 +49,8 @@ def test_a_test_that_would_stop_goes_on_without_its_shreds(monkeypatch, tmp_path
     middle = points[cells].mean(axis=1)
     shell = np.hypot(middle[:, 0], middle[:, 1]) > 0.45e-3
     f0 = np.where(shell, 0.645, 0.1)
-    settings = TensileSettings(maximum_strain=0.1)
+    # two iterations are decided by what the linear solver leaves over: next to nothing here
+    settings = TensileSettings(maximum_strain=0.1, linear_solver="mumps")
     whole = tensile_test(points, cells, f0, MAGNESIUM, settings)
     assert whole.status == "past_peak" and whole.torn_cells == 0
 
