@@ -24,12 +24,12 @@ MIDDLE, FINE, FINER, FINEST = (
     (0.22e-3, 0.14e-3), (0.2e-3, 0.12e-3), (0.16e-3, 0.1e-3), (0.12e-3, 0.08e-3)
 )  # fmt: skip
 MESHES = {
-    "P2": (COARSEST, COARSE, QUICK, MIDDLE),
+    "P2": (COARSEST, COARSE, QUICK, FINE),
     "P1-Fbar": (COARSE, QUICK, FINE, FINER),
     "P1": (QUICK, FINE),
 }
 LONG_MESHES = {
-    "P2": (COARSEST, COARSE, QUICK, MIDDLE, FINE),
+    "P2": (COARSEST, COARSE, QUICK, MIDDLE, FINE, FINER),
     "P1-Fbar": (COARSE, QUICK, FINE, FINER, FINEST),
     "P1": (COARSE, QUICK, FINE, FINER, FINEST),
 }
@@ -41,7 +41,7 @@ LONG_INCREMENTS = (0.02, 0.01, 0.005, 0.0025, 0.00125)
 TOLERANCES = (1e-3, 1e-5, 1e-7)
 LENGTHS = (0.0, 100e-6, 200e-6)
 MESH_CURVES = ("P1", "P1-Fbar", "P2")
-INCREMENT_CURVE, TOLERANCE_CURVE = "increment (P1-Fbar)", "tolerance (P1-Fbar)"
+INCREMENT_CURVE, TOLERANCE_CURVE = "increment (P2)", "tolerance (P1-Fbar)"
 DAMAGE_CURVE, LENGTH_CURVE = "growth of f", "averaging length"
 
 
@@ -71,10 +71,11 @@ def plan_pulls(alloys: Sequence[str], immersion: Sequence[str], long: bool = Fal
         for element, sizes in meshes.items():
             for size in reversed(sizes):
                 pulls += [_pull(element, alloy, t, element, size) for t in times]
-        base = [_pull("", alloy, t, "P1-Fbar", QUICK) for t in times]
+        base = [_pull("", alloy, t, "P2", COARSE) for t in times]
         for x in LONG_INCREMENTS if long else INCREMENTS:
             change = {"curve": INCREMENT_CURVE, "choice": f"{100 * x:g} %", "increment": x}
             pulls += [replace(p, **change) for p in base]
+        base = [_pull("", alloy, t, "P1-Fbar", QUICK) for t in times]
         for x in TOLERANCES:
             change = {"curve": TOLERANCE_CURVE, "choice": f"{x:g}", "tolerance": x}
             pulls += [replace(p, **change) for p in base]
@@ -90,7 +91,7 @@ def plan_pulls(alloys: Sequence[str], immersion: Sequence[str], long: bool = Fal
         for size in (COARSE, QUICK, FINE):
             for x in LENGTHS:
                 for t in corroded:
-                    p = _pull(LENGTH_CURVE, alloy, t, "P1-Fbar", size)
+                    p = _pull(LENGTH_CURVE, alloy, t, "P2", size)
                     text = f"{1e6 * x:.0f} um, {p.choice}"
                     pulls.append(replace(p, choice=text, damage_length=x, peak_drop=0.12))
     return pulls

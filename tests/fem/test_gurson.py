@@ -31,7 +31,7 @@ def _random_trials(count):
     size = 10 ** RNG.uniform(-4, -1, count)
     volume = size * RNG.uniform(-1, 1, count) * RNG.choice([1.0, 0.1, 1e-4, 0.0], count)
     mises = 3 * PARAMETERS[SHEAR] * size * RNG.choice([1.0, 1e-3, 0.0], count, p=[0.8, 0.1, 0.1])
-    damage = RNG.choice([0.0, 1e-9, 1e-3, 0.1, 0.5, 0.66, PARAMETERS[LIMIT]], count)
+    damage = RNG.choice([0.0, 1e-9, 1e-3, 0.1, 0.5, 0.65, PARAMETERS[LIMIT]], count)
     strain = RNG.uniform(0, 0.3, count)
     return volume, mises, strain, damage
 
