@@ -24,8 +24,8 @@ RATE_CHANGES = (0.4, 0.1)
 SAMPLES = (None, 1, 2)
 INCREMENTS = (0.01, 0.005, 0.0025)
 MESHES = (
-    ("P1-Fbar", 0.3e-3, 0.2e-3), ("P1-Fbar", 0.2e-3, 0.12e-3), ("P1-Fbar", 0.16e-3, 0.1e-3),
-    ("P2", 0.4e-3, 0.3e-3), ("P2", 0.3e-3, 0.2e-3),
+    ("P1-Fbar", 0.3e-3, 0.2e-3), ("P1-Fbar", 0.2e-3, 0.12e-3),
+    ("P2", 0.5e-3, 0.4e-3), ("P2", 0.4e-3, 0.3e-3), ("P2", 0.3e-3, 0.2e-3), ("P2", 0.2e-3, 0.12e-3),
 )  # fmt: skip
 FACTORS = ("lattice", "time step", "mapping", "mesh and element", "increment")
 
@@ -105,7 +105,8 @@ def study_life_cycle(
 ) -> list[Level]:
     """Run the study for one alloy and time; `tell` hears one line per pull."""
     preset = resolution("quick")
-    base = Pull("", "", alloy, "0w", preset.element, preset.mesh_size, preset.mesh_size_fine, 0.01)
+    mesh = (preset.element, preset.mesh_size, preset.mesh_size_fine)
+    base = Pull("", "", alloy, "0w", *mesh, preset.increment)
     with tempfile.TemporaryDirectory(prefix="perilife-study-") as place:
         shop = Workshop(Path(place))
         shop.corrode(alloy, [immersion])  # compiles
