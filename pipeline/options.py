@@ -5,7 +5,7 @@ import dataclasses
 from pathlib import Path
 
 from pipeline.loads import LOADS
-from pipeline.rate_law import KINETICS
+from pipeline.rate_law import kinetics_in_words
 from pipeline.resolution import RESOLUTIONS
 from pipeline.scene import (
     BOUNDARIES,
@@ -65,8 +65,8 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
     corrosion.add_argument(
         "--kinetics",
         metavar="LAW",
-        help=f"of the rate: {', '.join(KINETICS)}; with numbers (SI): "
-        "tafel:overpotential=0.02,slope=0.1 (volume_loss, l from the parameter set)",
+        help=f"of the rate, with its numbers (SI, ? may be left out): {kinetics_in_words()}; "
+        "as tafel:overpotential=0.02,slope=0.1 (volume_loss, l from the parameter set)",
     )
     corrosion.add_argument(
         "--dissolution",

@@ -13,7 +13,7 @@ from peri.influence import diffusion_stencil
 from pipeline import machine
 from pipeline.corrosion_stage import domain_lattice, liquid_domain, march_omissions
 from pipeline.loads import LOADS
-from pipeline.scene import Scene, SceneError, TensileScene
+from pipeline.scene import OMITTABLE, Scene, SceneError, TensileScene
 from pipeline.surface import Solid
 from pipeline.units import format_bytes, format_length, format_seconds
 
@@ -278,7 +278,9 @@ def _march_omissions(scene: Scene, solid: Solid) -> list[Omission]:
             text = f"kept; leaving it out would cost up to {100 * omission.bound:.2g} % of V_L"
         else:
             text = "kept"
-        name = omission.name.replace("_", " ")
+        name = omission.name
+        if name not in OMITTABLE:
+            name = f"{name.replace('_', ' ')} (not offered to --keep)"
         found.append(Omission(f"{alloy}: {name}", omission.reason, text))
     return found
 

@@ -13,6 +13,7 @@ import perilife_data
 from fem.constitutive.hardening import fit_voce
 from perilife_data import Quantity
 from pipeline.loads import LOADS
+from pipeline.rate_law import read_kinetics
 from pipeline.scene import AlloyScene, Scene
 
 logger = logging.getLogger(__name__)
@@ -122,6 +123,8 @@ def _corrosion_rows(scene: Scene, alloy: AlloyScene) -> list[ParameterRow]:
     for item in fields(alloy.corrosion):
         if item.name.startswith("calibration"):
             continue
+        if item.name == "volume_loss_scale" and scene.corrosion.kinetics != "volume_loss":
+            continue  # not in use: the law has no l, or its own
         value = getattr(alloy.corrosion, item.name)
         remark = ""
         if item.name == "solid_concentration" and corrected:
@@ -135,6 +138,8 @@ def _law_rows(scene: Scene) -> list[ParameterRow]:
     chosen, rows = scene.corrosion, []
     if chosen.kinetics != "volume_loss":
         remark = "D_int was fitted with a rate that falls with the volume loss (l)"
+        if read_kinetics(chosen.kinetics)[0] == "volume_loss":
+            remark = "D_int was fitted with the l of the parameter set; this one is given by hand"
         rows.append(("kinetics", chosen.kinetics, remark))
     if chosen.dissolution != "proportional":
         remark = (

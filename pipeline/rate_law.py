@@ -11,16 +11,24 @@ KINETICS = {
 """Laws of the rate and their numbers, SI, `?` where one may be left out; as in peri.corrosion."""
 
 
+def kinetics_in_words() -> str:
+    """Every law with its numbers, as a person has to know them to write one."""
+    laws = (name + f" ({', '.join(n)})" * bool(n) for name, n in KINETICS.items())
+    return ", ".join(laws)
+
+
 def read_kinetics(text: str) -> tuple[str, dict[str, float]]:
     """Name and numbers of a law of the rate, written as NAME:number=value,number=value."""
-    name, _, rest = text.partition(":")
+    name, colon, rest = text.partition(":")
     if name not in KINETICS:
         raise ValueError(f"kinetics is '{name}'; it must be one of {', '.join(KINETICS)}")
     numbers = {}
-    for part in filter(None, rest.split(",")):
-        key, _, value = part.partition("=")
+    for part in rest.split(",") if colon else ():
+        key, _, value = (piece.strip() for piece in part.partition("="))
+        if key in numbers:
+            raise ValueError(f"kinetics is '{text}'; {key} must be given once")
         try:
-            numbers[key.strip()] = float(value)
+            numbers[key] = float(value)
         except ValueError:
             raise ValueError(
                 f"kinetics is '{text}'; what follows the name must be number=value,..."

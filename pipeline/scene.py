@@ -26,8 +26,8 @@ DOMAIN_SHAPES = ("cylinder", "ball")
 BOUNDARIES = ("refreshed", "no_flux")
 SATURATIONS = ("complementarity", "as_published", "none")
 DISSOLUTION_LAWS = ("proportional", "faradaic")
-OMITTABLE = ("liquid", "solid_core", "far_liquid")
-"""What a march may leave out; named as in peri.corrosion.planning, which is slow to import."""
+OMITTABLE = ("liquid", "far_liquid")
+"""What a march can be kept from leaving out; as in peri.corrosion.planning, slow to import."""
 
 CALIBRATIONS = ("discrete", "closed")
 LATERAL = ("free", "clamped")

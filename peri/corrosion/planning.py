@@ -30,7 +30,9 @@ LIQUID = "liquid"
 SOLID_CORE = "solid_core"
 FAR_LIQUID = "far_liquid"
 COARSE_LIQUID = "coarse_liquid"
-OMISSIONS = (LIQUID, SOLID_CORE, FAR_LIQUID)
+OMISSIONS = (LIQUID, FAR_LIQUID)
+"""What may be refused; the metal's core has no unknowns in any march, coarse liquid is none yet."""
+
 DEFAULT_TOLERANCE = 1e-3
 
 
@@ -38,8 +40,9 @@ DEFAULT_TOLERANCE = 1e-3
 class Omission:
     """One thing that a scene could leave out.
 
-    name : how to refuse it.  reason : one sentence.  bound : of the relative error of V_L
-    (infinite where it cannot be left out).  applied : whether the plan leaves it out.
+    name : how to refuse it, where OMISSIONS has it.  reason : one sentence.  bound : of the
+    relative error of V_L (infinite where it cannot be left out).  applied : whether the plan
+    leaves it out.
     """
 
     name: str

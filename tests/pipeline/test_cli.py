@@ -13,9 +13,10 @@ from pipeline.bench import BENCHMARKS, Benchmark, Result
 from pipeline.cli import main, sentence
 from pipeline.opening import open_run
 from pipeline.options import add_scene_options, scene_from_options
+from pipeline.rate_law import KINETICS
 from pipeline.resolution import RESOLUTIONS
 from pipeline.run_folder import RunFolder
-from pipeline.scene import DISSOLUTION_LAWS, scene_from_json
+from pipeline.scene import DISSOLUTION_LAWS, OMITTABLE, scene_from_json
 
 PIN = ["--thread", "none"]  # a plain pin: its solid takes a tenth of a second
 COARSE = ["--spacing", "300um", "--horizon", "600um", "--radial-margin", "1mm"]
@@ -311,6 +312,26 @@ def test_plan_tells_sizes_time_memory_and_omissions(capsys):
     assert plan["omissions"] and all(item["reason"] for item in plan["omissions"])
     assert main(["plan", *SCENE]) == 0
     assert "What is left out" in capsys.readouterr().out
+
+
+def test_plan_names_what_can_be_kept_as_keep_wants_it(capsys):
+    scene = [*SCENE, *COARSE, "--spacing", "200um", "--horizon", "400um"]
+    assert main(["plan", *scene, "--json"]) == 0
+    named = [item["what"] for item in json.loads(capsys.readouterr().out)["omissions"]]
+    of_march = [what.removeprefix("Mg-5Gd: ") for what in named if what.startswith("Mg-5Gd: ")]
+    offered = [what for what in of_march if "not offered" not in what]
+    assert sorted(offered) == sorted(OMITTABLE) and len(of_march) == len(offered) + 2
+    assert main(["plan", *scene, "--keep", *offered, "--json"]) == 0
+    left = json.loads(capsys.readouterr().out)["omissions"]
+    assert all(item["error"].startswith("kept") for item in left if item["what"][8:] in offered)
+
+
+def test_help_lists_the_numbers_of_every_law_of_the_rate():
+    parser = argparse.ArgumentParser()
+    add_scene_options(parser)
+    told = " ".join(parser.format_help().split())
+    for numbers in KINETICS.values():
+        assert ", ".join(numbers) in told
 
 
 def test_the_law_of_a_bond_is_a_choice(tmp_path, capsys):

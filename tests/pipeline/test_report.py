@@ -289,6 +289,26 @@ def test_a_value_set_by_hand_is_not_given_a_source():
     assert "2.8779e-15" in row.remark
 
 
+@pytest.mark.parametrize(
+    ("law", "listed", "remark"),
+    [
+        ("volume_loss", True, None),
+        ("volume_loss:length=0.1", False, "D_int was fitted with the l of the parameter set"),
+        ("constant", False, "D_int was fitted with a rate that falls with the volume loss (l)"),
+        ("tafel:overpotential=0.02,slope=0.1", False, "D_int was fitted with a rate that falls"),
+        ("butler_volmer:overpotential=0.01", False, "D_int was fitted with a rate that falls"),
+    ],
+)
+def test_the_length_of_the_fit_is_listed_only_where_the_law_uses_it(law, listed, remark):
+    scene = scene_of(alloys=("Mg-5Gd",))
+    scene = replace(scene, corrosion=replace(scene.corrosion, kinetics=law))
+    rows = provenance.parameter_rows(scene)
+    assert any(row.symbol == "D_int" for row in rows)
+    assert any(row.symbol == "l" for row in rows) == listed
+    remarks = [row.remark for row in rows if row.name == "Law of the rate"]
+    assert (not remarks) if remark is None else remarks[0].startswith(remark)
+
+
 def test_values_of_the_alloys_stand_side_by_side():
     row = provenance.ParameterRow("S", "A", "n", "", "1", "m", "fitted", "key", "Table 1", "x; low")
     other = replace(row, alloy="B", value="2", remark="x; high")

@@ -154,6 +154,15 @@ def test_unknown_missing_and_mistyped_fields_are_named(scene):
         (lambda: CorrosionSettings(kinetics="constant:a=1"), "numbers of constant must be none"),
         (lambda: CorrosionSettings(kinetics="tafel:slope=0.1"), "must be overpotential, slope"),
         (lambda: CorrosionSettings(kinetics="tafel:slope=x"), "must be number=value"),
+        (lambda: CorrosionSettings(kinetics="volume_loss:"), "must be number=value"),
+        (
+            lambda: CorrosionSettings(kinetics="tafel:slope=0.1,overpotential=0.02, slope=0.2"),
+            "slope must be given once",
+        ),
+        (
+            lambda: CorrosionSettings(keep=("solid_core",)),
+            "keep is 'solid_core'; it must be one of liquid, far_liquid",
+        ),
         (lambda: CorrosionSettings(saturation="as_published"), "time scheme is sdirk2"),
         (
             lambda: CorrosionSettings(

@@ -8,6 +8,7 @@ import pytest
 from peri.corrosion.bounds import arrival_bound, front_depth, least_loss, metal_at_risk
 from peri.corrosion.kinetics import ButlerVolmer, ConstantRate, VolumeLossLaw
 from peri.corrosion.planning import (
+    COARSE_LIQUID,
     FAR_LIQUID,
     LIQUID,
     OMISSIONS,
@@ -82,7 +83,7 @@ def test_far_liquid_stays_within_its_bound(tolerance, dissolution):
     # measured 0: what arrives is far less than the bound of a walk along any axis
     assert abs(lean.volume_loss[0] / full.volume_loss[0] - 1) <= far.bound
     assert 0 < least_loss(scene, end) <= full.volume_loss[0]
-    coarse = next(o for o in omissions if o.name not in OMISSIONS)
+    coarse = named(omissions, COARSE_LIQUID)
     corner = np.hypot(*scene.lattice.coordinates()) > 0.25e-3 + 2 * 1e-4 + 5e-5
     count = int(coarse.reason.split("; ")[1].split(" nodes")[0])
     assert corner.sum() <= count < 1.1 * corner.sum() and not coarse.applied
@@ -171,7 +172,7 @@ def test_what_cannot_be_bounded_is_kept():
     assert named(plan_omissions(pin(2, boundary="no_flux"), WEEK), LIQUID).bound == np.inf
     slowed = pin(2, kinetics=ButlerVolmer(0.0))
     assert not named(plan_omissions(slowed, WEEK), FAR_LIQUID).applied
-    offered = named(plan_omissions(pin(2, kinetics=ConstantRate()), WEEK), "coarse_liquid")
+    offered = named(plan_omissions(pin(2, kinetics=ConstantRate()), WEEK), COARSE_LIQUID)
     assert "not offered" in offered.reason and not offered.applied
 
 
@@ -185,7 +186,8 @@ class Speeding:
 @pytest.mark.parametrize(
     ("options", "message"),
     [({"tolerance": 1.0}, "tolerance: 1.0"), ({"tolerance": -0.1}, "tolerance"),
-     ({"refused": ["metal"]}, "refused: .*known: liquid, solid_core, far_liquid")],
+     ({"refused": ["metal"]}, "refused: .*known: liquid, far_liquid"),
+     ({"refused": [SOLID_CORE]}, "refused: .*solid_core.*known: liquid, far_liquid")],
 )  # fmt: skip
 def test_refusals(options, message):
     with pytest.raises(ValueError, match=message):
