@@ -13,14 +13,8 @@ from pipeline import machine
 from pipeline.loads import LOADS
 from pipeline.progress import Progress
 from pipeline.run_folder import RunFolder, RunFolderError, StageRecord, utc_now
-from pipeline.scene import (
-    Scene,
-    content_hash,
-    corrosion_hash,
-    geometry_hash,
-    map_hash,
-    pull_hash,
-)
+from pipeline.scene import Scene
+from pipeline.stage_hashes import corrosion_hash, geometry_hash, map_hash, pull_hash, report_hash
 from pipeline.summary import SummaryRow, write_summary
 from pipeline.tensile_stage import CURVE_FILE, RESULT_FILE, TensileJob, read_result, run_jobs
 from pipeline.units import ImmersionTime
@@ -236,7 +230,7 @@ class LifeCycle:
             self.folder.forget(self.folder.path, "report")
         stages = sorted(path for path in self.folder.path.rglob("*.stage.json"))
         made = [path.read_text() for path in stages if path.name != "report.stage.json"]
-        inputs = content_hash("report", self.scene.to_json(), made)
+        inputs = report_hash(self.scene, made)
         return self._do("report", "report", self.folder.path, inputs, work)
 
     def _pulled(self, alloy: str, moment: ImmersionTime) -> dict:

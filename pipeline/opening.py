@@ -8,7 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from pipeline.run_folder import SCENE_FILE, RunFolder, RunFolderError, write_json
-from pipeline.scene import Scene, SceneError, geometry_hash, scene_from_json
+from pipeline.scene import Scene, SceneError, scene_from_json
+from pipeline.stage_hashes import geometry_hash
 
 
 @contextmanager

@@ -1,8 +1,7 @@
 """The resolved scene: every number a run depends on, checked, stored and hashed.
 
 A scene is built once (pipeline.resolve), written as `scene.json` and never changed; each
-stage reads its numbers from it.  `geometry_hash`, `corrosion_hash`, `map_hash`, `pull_hash` say
-which numbers each stage depends on, so that a stage is repeated only when one of them changes.
+stage reads its numbers from it (pipeline.stage_hashes says which).
 """
 
 import dataclasses
@@ -16,7 +15,6 @@ from dataclasses import dataclass, field
 from fem.quadrature import ELEMENTS
 from peri.marching import SCHEMES as TIME_SCHEMES
 from pipeline.loads import LOADS
-from pipeline.machine import version
 from pipeline.rate_law import read_kinetics
 from pipeline.screw import ScrewParameters
 from pipeline.units import ImmersionTime, format_length
@@ -396,56 +394,6 @@ def content_hash(*parts: object) -> str:
     """SHA-256 of the canonical JSON of `parts` (sorted keys, shortest round-trip floats)."""
     text = json.dumps(parts, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def _stage_hash(*parts: object) -> str:
-    """Hash of a stage's inputs; another version of perilife may compute other numbers."""
-    return content_hash(version(), *parts)
-
-
-def geometry_hash(scene: Scene) -> str:
-    """What the solid and its mesh depend on; a solid file counts by its content."""
-    geometry = dataclasses.asdict(scene.geometry)
-    geometry.pop("path", None)
-    return _stage_hash("geometry", geometry, dataclasses.asdict(scene.mesh))
-
-
-def corrosion_hash(scene: Scene, alloy: str) -> str:
-    """What the corrosion march of one alloy depends on; the mesh is not part of it."""
-    geometry = dataclasses.asdict(scene.geometry)
-    geometry.pop("path", None)
-    return _stage_hash(
-        "corrosion",
-        geometry,
-        dataclasses.asdict(scene.lattice),
-        dataclasses.asdict(scene.domain),
-        dataclasses.asdict(scene.corrosion),
-        dataclasses.asdict(scene.alloy(alloy).corrosion),
-        [time.seconds for time in scene.with_intact()],
-    )
-
-
-def map_hash(scene: Scene, alloy: str, time: ImmersionTime) -> str:
-    """What the damage map of one alloy and time depends on."""
-    return _stage_hash(
-        "map",
-        geometry_hash(scene),
-        corrosion_hash(scene, alloy),
-        time.seconds,
-        scene.tensile.element,
-        scene.tensile.damage == "cell",
-        scene.alloy(alloy).material.q1,
-    )
-
-
-def pull_hash(scene: Scene, alloy: str, time: ImmersionTime) -> str:
-    """What the tensile test of one alloy and time depends on."""
-    return _stage_hash(
-        "pull",
-        map_hash(scene, alloy, time),
-        dataclasses.asdict(scene.alloy(alloy).material),
-        dataclasses.asdict(scene.tensile),
-    )
 
 
 def scene_from_json(content: dict) -> Scene:

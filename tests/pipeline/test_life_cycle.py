@@ -26,6 +26,7 @@ from pipeline.scene import (
     ScrewGeometry,
     TensileScene,
 )
+from pipeline.stage_hashes import STAGE_REVISION
 from pipeline.summary import read_summary
 from pipeline.tensile_stage import TensileJob, TensileStageError, run_jobs
 from pipeline.units import parse_immersion_times
@@ -154,6 +155,19 @@ def test_another_mesh_repeats_all_but_the_corrosion(tmp_path, calls):
     assert calls[0] == "geometry"
     assert "corrode Mg-A" not in calls
     assert {"map Mg-A 8w", "pull Mg-A 8w"} <= set(calls)
+
+
+def test_pulls_of_older_code_are_repeated(tmp_path, calls, monkeypatch):
+    scene = _scene("0w", "8w")
+    LifeCycle(scene, tmp_path).run()
+    calls.clear()
+    monkeypatch.setitem(STAGE_REVISION, "pull", STAGE_REVISION["pull"] + 1)
+    LifeCycle(scene, tmp_path).run()
+    assert calls == ["pull Mg-A 0w", "pull Mg-A 8w", "report"]
+    calls.clear()
+    monkeypatch.setitem(STAGE_REVISION, "report", STAGE_REVISION["report"] + 1)
+    LifeCycle(scene, tmp_path).run()
+    assert calls == ["report"]
 
 
 def test_an_interrupted_stage_is_not_complete(tmp_path, calls, monkeypatch):

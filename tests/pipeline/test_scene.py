@@ -26,13 +26,16 @@ from pipeline.scene import (
     ScrewGeometry,
     SolidFile,
     TensileScene,
+    scene_from_json,
+)
+from pipeline.screw import ScrewParameters
+from pipeline.stage_hashes import (
+    STAGE_REVISION,
     corrosion_hash,
     geometry_hash,
     map_hash,
     pull_hash,
-    scene_from_json,
 )
-from pipeline.screw import ScrewParameters
 from pipeline.units import (
     format_bytes,
     format_seconds,
@@ -182,19 +185,21 @@ def test_values_out_of_range_are_refused_with_one_sentence(make, words):
     assert "\n" not in str(refusal.value)
 
 
+def hashes(scene: Scene) -> list[str]:
+    """Of geometry, both marches, a map of the first alloy and a pull of both."""
+    time = scene.immersion[1]
+    return [
+        geometry_hash(scene),
+        corrosion_hash(scene, "Mg-A"),
+        corrosion_hash(scene, "Mg-B"),
+        map_hash(scene, "Mg-A", time),
+        pull_hash(scene, "Mg-A", time),
+        pull_hash(scene, "Mg-B", time),
+    ]
+
+
 def test_each_stage_depends_on_its_own_numbers_only(scene):
     """Changing one number must repeat exactly the stages that it enters."""
-    time = scene.immersion[1]
-
-    def hashes(s: Scene) -> list[str]:
-        return [
-            geometry_hash(s),
-            corrosion_hash(s, "Mg-A"),
-            corrosion_hash(s, "Mg-B"),
-            map_hash(s, "Mg-A", time),
-            pull_hash(s, "Mg-A", time),
-            pull_hash(s, "Mg-B", time),
-        ]
 
     def changed(**fields) -> list[bool]:
         other = dataclasses.replace(scene, **fields)
@@ -215,6 +220,23 @@ def test_each_stage_depends_on_its_own_numbers_only(scene):
     assert changed(alloys=(strong, scene.alloys[1])) == [False] * 4 + [True, False]
     assert changed(alloys=(slow, scene.alloys[1])) == [False, True, False, True, True, False]
     assert changed(geometry=ScrewGeometry(ScrewParameters(length=5e-3))) == [True] * 6
+
+
+@pytest.mark.parametrize(
+    ("stage", "changed"),
+    [
+        ("geometry", [True, False, False, True, True, True]),
+        ("corrode", [False, True, True, True, True, True]),
+        ("map", [False] * 3 + [True] * 3),
+        ("pull", [False] * 4 + [True] * 2),
+    ],
+)
+def test_a_new_revision_of_a_stage_repeats_it_and_what_builds_on_it(
+    scene, monkeypatch, stage, changed
+):
+    before = hashes(scene)
+    monkeypatch.setitem(STAGE_REVISION, stage, STAGE_REVISION[stage] + 1)
+    assert [a != b for a, b in zip(before, hashes(scene), strict=True)] == changed
 
 
 def test_a_solid_file_counts_by_content_not_by_place(scene):
