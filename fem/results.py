@@ -206,9 +206,7 @@ def restore(test: Any, path: str | Path) -> tuple:
         getattr(test.state.old, name)[...] = fields[name][at]
         getattr(test.state.new, name)[...] = fields[name][at]
     test.assembler.alive[:] = fields["alive"][at]
-    unused = np.ones(len(d.coordinates), bool)
-    unused[d.cells[test.assembler.alive]] = False
-    test.fixed[unused] = True
+    test.fix_unused()
     test.solver.reference = march.pop("reference")
     test.lost_cells = int(march.pop("lost_cells"))
     test.torn_cells = int(march.pop("torn_cells", 0))

@@ -29,6 +29,9 @@ class TensileSettings:
     is that of the residual force relative to the largest reaction. threads: None takes the
     processors there are when the communicator has one rank, and one otherwise.
 
+    linear_solver: "auto", or what is tried first (`fem.solvers`): "pmg" (two-level multigrid of the
+    ten-node elements, the default for them), "mumps" (factorisation), "gamg" (aggregation).
+
     damage: how f grows: "cell" (one f per cell, updated between increments), "point" (one per
     quadrature point, likewise) or "implicit" (per point and within the increment, as published;
     heavily corroded solids hardly ever get to their peak with it). damage_length [m]: the growth of

@@ -94,10 +94,13 @@ class LinearSolver:
             self.matrix = PETSc.Mat().createAIJ(sizes, bsize=3, csr=pattern, comm=comm)
             self.matrix.setOption(PETSc.Mat.Option.NEW_NONZERO_LOCATION_ERR, True)
         self.solution, self.right = self.matrix.createVecs()
-        self._near_null = self._rigid_body_modes()
-        self.matrix.setNearNullSpace(self._near_null)
+        modes = self._rigid_body_modes(d.coordinates[: d.owned_nodes])
+        self.matrix.setNearNullSpace(modes)
+        modes.destroy()
         self.symmetric: PETSc.Mat | None = None  # symmetric part, for MUMPS
         self._solvers: dict[str, PETSc.KSP] = {}
+        self._interpolation: PETSc.Mat | None = None  # of pmg, with its coarse matrix
+        self._coarse: PETSc.Mat | None = None
         self._rate = 0.0  # iterations per decade with a fresh preconditioner
         self._excess = 0.0  # iterations that its age has cost
 
@@ -114,11 +117,12 @@ class LinearSolver:
         # PETSc sorts them when it inserts
         return indptr.astype(PETSc.IntType), indices.astype(PETSc.IntType)
 
-    def _rigid_body_modes(self) -> PETSc.NullSpace:
-        d = self.discretisation
-        coordinates = PETSc.Vec().createMPI((3 * d.owned_nodes, None), bsize=3, comm=self.comm)
-        coordinates.array[:] = d.coordinates[: d.owned_nodes].ravel()
-        return PETSc.NullSpace().createRigidBody(coordinates)
+    def _rigid_body_modes(self, points: np.ndarray) -> PETSc.NullSpace:
+        coordinates = PETSc.Vec().createMPI((points.size, None), bsize=3, comm=self.comm)
+        coordinates.array[:] = points.ravel()
+        modes = PETSc.NullSpace().createRigidBody(coordinates)
+        coordinates.destroy()
+        return modes
 
     def set_values(self, values: np.ndarray) -> None:
         """New stiffness values (scalar CSR order of the assembly)."""
@@ -132,7 +136,13 @@ class LinearSolver:
     def fixed_changed(self) -> None:
         """Tell that `fixed` has other entries than before: the coarse space depends on it."""
         if "pmg" in self._solvers:
-            self._solvers.pop("pmg").destroy()
+            self._forget("pmg")
+
+    def _forget(self, kind: str) -> None:
+        self._solvers.pop(kind).destroy()
+        if kind == "pmg":
+            self._interpolation.destroy()
+            self._coarse.destroy()
 
     def _solver(self, kind: str) -> PETSc.KSP:
         if kind in self._solvers:
@@ -146,7 +156,14 @@ class LinearSolver:
         ksp.setPCSide(PETSc.PC.Side.RIGHT)
         pc = ksp.getPC()
         if kind == "pmg":
-            _set_up_two_levels(pc, vertex_interpolation(self.comm, self.discretisation, self.fixed))
+            d = self.discretisation
+            self._interpolation = vertex_interpolation(self.comm, d, self.fixed)
+            self._coarse = self.matrix.PtAP(self._interpolation)
+            vertices = d.mesh.input_vertices[: d.owned_nodes] >= 0
+            modes = self._rigid_body_modes(d.coordinates[: d.owned_nodes][vertices])
+            self._coarse.setNearNullSpace(modes)
+            modes.destroy()
+            _set_up_two_levels(pc, self._interpolation, self._coarse)
         elif kind == "gamg":
             _set_up_aggregation(pc)
         else:
@@ -168,6 +185,8 @@ class LinearSolver:
     def _setup(self, ksp: PETSc.KSP) -> bool:
         start = time.perf_counter()
         cholesky = ksp.getPC().getType() == PETSc.PC.Type.CHOLESKY
+        if ksp is self._solvers.get("pmg"):
+            self.matrix.PtAP(self._interpolation, result=self._coarse)
         ksp.getPC().setReusePreconditioner(False)
         try:
             ksp.setOperators(self.matrix, self._symmetric_part() if cholesky else self.matrix)
@@ -215,13 +234,13 @@ class LinearSolver:
                 log.info("linear solver %s failed", self._order[0])
                 if len(self._order) == 1:
                     break
-                self._solvers.pop(self._order.pop(0)).destroy()
+                self._forget(self._order.pop(0))
         return self._with_ghosts() if done else None
 
     def _limit(self) -> int:
         """Iterations with a fresh preconditioner after which the next method is taken."""
         if self._order[0] == "pmg":
-            return int(np.clip(self.matrix.getSize()[0] // _UNKNOWNS_PER_ITERATION, 30, 300))
+            return int(np.clip(self.matrix.getSize()[0] // _UNKNOWNS_PER_ITERATION, 60, 300))
         return _MAXIMUM_ITERATIONS[self._order[0]]
 
     def _with_ghosts(self) -> np.ndarray:
@@ -242,9 +261,8 @@ class LinearSolver:
 
     def destroy(self) -> None:
         """Free PETSc's objects (they are collective, so not left to the garbage collector)."""
-        for ksp in self._solvers.values():
-            ksp.destroy()
-        self._near_null.destroy()
+        for kind in list(self._solvers):
+            self._forget(kind)
         if self.symmetric is not None:
             self.symmetric.destroy()
         self.matrix.destroy()
@@ -272,8 +290,8 @@ def _set_up_aggregation(pc: PETSc.PC) -> None:
     _set_options(pc, "fem_gamg_", pc_gamg_threshold=0.01, pc_gamg_coarse_eq_limit=1000)
 
 
-def _set_up_two_levels(pc: PETSc.PC, interpolation: PETSc.Mat) -> None:
-    """Galerkin's coarse matrix, factorised while it is small.
+def _set_up_two_levels(pc: PETSc.PC, interpolation: PETSc.Mat, coarse_matrix: PETSc.Mat) -> None:
+    """The coarse matrix is Galerkin's, factorised while it is small.
 
     Of the smoothers tried on a screw of 104,064 unknowns, corroded for 8 weeks, one forward sweep
     was the cheapest (solution 9.1 s; forward and backward 13.1, two of them 22, Chebyshev 26 and
@@ -282,7 +300,6 @@ def _set_up_two_levels(pc: PETSc.PC, interpolation: PETSc.Mat) -> None:
     pc.setType(PETSc.PC.Type.MG)
     pc.setMGLevels(2)
     pc.setMGInterpolation(1, interpolation)
-    _set_options(pc, "fem_pmg_", pc_mg_galerkin="both")
     smoother = pc.getMGSmoother(1)
     smoother.setType(PETSc.KSP.Type.RICHARDSON)
     smoother.setTolerances(max_it=1)
@@ -291,6 +308,7 @@ def _set_up_two_levels(pc: PETSc.PC, interpolation: PETSc.Mat) -> None:
     _set_options(smoother.getPC(), "fem_smoother_", pc_sor_local_forward=True)
     coarse = pc.getMGCoarseSolve()
     coarse.setType(PETSc.KSP.Type.PREONLY)
+    coarse.setOperators(coarse_matrix)
     if interpolation.getSize()[1] <= _COARSE_UNKNOWNS:
         _set_up_factorisation(coarse.getPC(), symmetric=False)
     else:

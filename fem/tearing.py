@@ -16,7 +16,7 @@ from fem.discretisation import Discretisation
 STRENGTH_LEFT = 0.05
 """Largest share 1 - q1 f of the strength that a torn cell may still have."""
 STRETCH = 2.0
-"""Least principal stretch in a torn cell, anywhere in it."""
+"""Principal stretch that a torn cell exceeds, at one of its points at least."""
 
 
 def torn_cells(

@@ -38,6 +38,7 @@ from fem.tearing import torn_cells
 log = logging.getLogger(__name__)
 
 _FAILURES = 4  # in a row, after which cells are taken as torn or Newton goes on for longer
+_UNEVEN = 3.0  # of increments next to the peak
 _EASY, _HARD = 5, 8  # Newton iterations below which increments grow, above which they shrink
 
 
@@ -230,7 +231,8 @@ class _Test:
         if resume is not None:
             (displacement, previous, previous_size, strain, size, peak, work, dissipated,
              rows) = restore(self, resume)  # fmt: skip
-        while strain < s.maximum_strain * (1 - 1e-12):
+        parted = resume is not None and self._parted()
+        while not parted and strain < s.maximum_strain * (1 - 1e-12):
             size = min(size, s.maximum_strain - strain)
             outcome, tried = self._increment(
                 displacement, strain + size, size, previous, previous_size
@@ -243,10 +245,7 @@ class _Test:
                 if failures >= _FAILURES and self._remove(self._torn(displacement)):
                     size, failures, previous = size * 2.0**failures, 0, None
                     self.solver.maximum_iterations = s.maximum_iterations
-                    if self._parted():
-                        status = "past_peak"
-                        rows.append(self._row(strain * extent, 0.0, 0, 0, work, 0.0, dissipated))
-                        break
+                    parted = self._parted()
                 elif failures >= _FAILURES:
                     # what is left to settle is the last removal, which no smaller step makes less
                     self.solver.maximum_iterations = 2 * s.maximum_iterations
@@ -289,14 +288,13 @@ class _Test:
                     Increment(self, displacement, previous, previous_size, strain, size, peak,
                               work, dissipated, rows)
                 )  # fmt: skip
-            if removed:
-                if self._parted():
-                    status = "past_peak"
-                    rows.append(self._row(strain * extent, 0.0, 0, 0, work, 0.0, dissipated))
-                    break
+            parted = removed and self._parted()
             if not s.full_curve and outcome.reaction < (1.0 - s.peak_drop) * peak:
                 status = "past_peak"
                 break
+        if parted:
+            status = "past_peak"
+            rows.append(self._row(strain * extent, 0.0, 0, 0, work, 0.0, dissipated))
         result = self._result(rows, status, displacement)
         self.linear.destroy()
         return result
@@ -400,12 +398,17 @@ class _Test:
         alive &= kept[d.original_cells]
         after = int(self.comm.allreduce(int((alive & d.owned).sum())))
         self.lost_cells += newly + before - after
-        unused = np.ones(len(d.coordinates), bool)
-        unused[d.cells[alive]] = False
-        self.fixed[unused] = True
-        self.linear.fixed_changed()
+        self.fix_unused()
         log.info("%d cells removed, %d more came loose", newly, before - after)
         return True
+
+    def fix_unused(self) -> None:
+        """Fix the nodes that no living cell has; call it where cells have been removed."""
+        d = self.discretisation
+        unused = np.ones(len(d.coordinates), bool)
+        unused[d.cells[self.assembler.alive]] = False
+        self.fixed[unused] = True
+        self.linear.fixed_changed()
 
     def _parted(self) -> bool:
         return not bool(self.comm.allreduce(int(self.assembler.alive.any()), MPI.MAX))
@@ -449,13 +452,15 @@ class _Test:
 def peak_of_curve(elongation: np.ndarray, force: np.ndarray) -> tuple[float, float]:
     """Elongation and force at the peak: the vertex of the parabola through the highest point.
 
-    A peak at the end of the curve is returned as it is.
+    The highest point itself is returned where it is the last one, or where one of its neighbours is
+    more than _UNEVEN times nearer than the other: a curve that breaks off has no parabola.
     """
     k = int(np.argmax(force))
     if k == 0 or k == len(force) - 1:
         return float(elongation[k]), float(force[k])
     x, y = elongation[k - 1 : k + 2], force[k - 1 : k + 2]
-    if not x[0] < x[1] < x[2]:  # the solid parted at its peak
+    before, after = np.diff(x)  # one of them is zero where the solid parted at its peak
+    if not (before > 0 < after and 1 / _UNEVEN <= after / before <= _UNEVEN):
         return float(x[1]), float(y[1])
     rise, fall = np.diff(y) / np.diff(x)
     bend = (fall - rise) / (x[2] - x[0])

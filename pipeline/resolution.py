@@ -43,9 +43,10 @@ class CorrosionError:
 class TensileError:
     """Error of the strength left of a preset, relative, as measured on the reference screw.
 
-    error: largest over alloys and immersion times, mesh and increment together; increment: of the
-    increment; after: of the mesh after each immersion time as typed, rising; alloys: those
-    measured; processor_seconds: of the longest test; command: what measured it.
+    error: largest over alloys and the immersion times at which the study's reference has settled,
+    mesh and increment together; increment: of the increment; after: of the mesh after each
+    immersion time as typed, rising; alloys: those measured; processor_seconds: of the longest test;
+    command: what measured it.
     """
 
     error: float

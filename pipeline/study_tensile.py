@@ -1,8 +1,9 @@
 """Error against run time of the tensile stage: what each numerical choice costs and buys.
 
-Every run is the reference screw with the corrosion field of the quick lattice.  Meshes of four
-elements are pulled with the same increments; increments, tolerance, growth of f and its averaging
-length are varied on one mesh each.  The reference of a peak force is the limit of the P2 meshes
+Every run is the reference screw with the corrosion field of the quick lattice.  Meshes of three
+elements are pulled with the same increments; increments (of P2, and taken to hold for the others),
+tolerance and growth of f are varied on one mesh of an element each, the length that the growth is
+averaged over on three.  The reference of a peak force is the limit of the P2 meshes
 (`limit_of`); how far that limit lies from the finest mesh is its uncertainty, and part of every
 error that is quoted.
 """
@@ -35,6 +36,9 @@ LONG_MESHES = {
 }
 INCREMENT = 0.01
 """Largest strain increment of the runs that compare meshes."""
+
+SETTLED = 0.10
+"""Largest uncertainty of a reference, relative, at the immersion times that decide the presets."""
 
 INCREMENTS = (0.02, 0.01, 0.005, 0.0025)
 LONG_INCREMENTS = (0.02, 0.01, 0.005, 0.0025, 0.00125)
@@ -234,6 +238,11 @@ class Errors:
             return 0.0
         return abs(self.ratio_of(row) / reference - 1.0) + uncertainty / reference
 
+    def settled(self, immersion: str) -> bool:
+        """Whether the reference of a corroded screw is certain enough to choose a mesh by it."""
+        reference, uncertainty = self.ratio[immersion]
+        return weeks(immersion) > 0.0 and uncertainty <= SETTLED * reference
+
     def curve(self, name: str, immersion: str) -> list[Row]:
         """Rows of one curve after one immersion time that ended as they should."""
         return [r for r in self.rows if r.curve == name and r.immersion == immersion and _ended(r)]
@@ -243,7 +252,7 @@ class Errors:
         found: dict[float, float] = {}
         for t in self.times:
             rows = sorted(self.curve(INCREMENT_CURVE, t), key=lambda r: -r.increment)
-            if weeks(t) == 0.0 or len(rows) < 2:
+            if not self.settled(t) or len(rows) < 2:
                 continue
             values = [self.ratio_of(r) for r in rows]
             exact = 2.0 * values[-1] - values[-2]
@@ -261,8 +270,9 @@ def _ended(row: Row) -> bool:
 class Setting:
     """Mesh, element and increment with the errors and costs that follow, over all alloys and times.
 
-    mesh_error, increment_error: of the strength ratio, relative, the largest; force_error: of the
-    peak force; by_time: mesh_error after each immersion time, the larger one of the alloys;
+    mesh_error, increment_error: of the strength ratio, relative, the largest over the times whose
+    reference has settled; force_error: the same of the peak force; by_time: error of the mesh after
+    each immersion time, the larger one of the alloys;
     seconds: of the processor, of the longest test; measured: whether the pair was run itself, else
     its cost follows from the number of increments.
     """
@@ -285,6 +295,13 @@ class Setting:
         return self.mesh_error + self.increment_error
 
 
+def settled_times(study: Study) -> list[str]:
+    """Immersion times at which the references of all alloys have settled; else all of them."""
+    errors = [Errors(study, alloy) for alloy in study.alloys]
+    corroded = [t for t in study.immersion if weeks(t) > 0.0]
+    return [t for t in corroded if all(e.settled(t) for e in errors)] or corroded
+
+
 def settings(study: Study) -> list[Setting]:
     """Every mesh with every increment; meshes with a test that stopped are left out."""
     errors = {alloy: Errors(study, alloy) for alloy in study.alloys}
@@ -296,6 +313,7 @@ def settings(study: Study) -> list[Setting]:
         x: sum(r.increments for r in study.rows if (r.curve, r.increment) == (INCREMENT_CURVE, x))
         for x in increment
     }
+    settled = settled_times(study)
     found = []
     meshes = {
         (r.curve, r.mesh_size, r.mesh_size_fine) for r in study.rows if r.curve in MESH_CURVES
@@ -313,12 +331,14 @@ def settings(study: Study) -> list[Setting]:
         }
         if not np.isfinite(list(by_time.values())).all():
             continue  # no reference at one of the times
-        force = max(errors[r.alloy].force_error(r) for r in rows)
+        deciding = [r for r in rows if r.immersion in settled]
+        mesh = max(by_time[r.immersion] for r in deciding)
+        force = max(errors[r.alloy].force_error(r) for r in deciding)
         for x in sorted(increment, reverse=True):
             scale = counts[x] / counts[INCREMENT]
             found.append(
                 Setting(
-                    curve, size, fine, x, max(by_time.values()), increment[x], force, by_time,
+                    curve, size, fine, x, mesh, increment[x], force, by_time,
                     scale * max(r.processor_seconds for r in rows),
                     scale * sum(r.processor_seconds for r in rows), x == INCREMENT,
                 )

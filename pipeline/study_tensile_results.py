@@ -22,6 +22,7 @@ from pipeline.study_tensile import (
     cheapest,
     edge,
     settings,
+    settled_times,
 )
 
 WANTED_ERRORS = (0.10, 0.03, 0.01)
@@ -172,8 +173,9 @@ def _softening_table(errors: Errors) -> list[str]:
 
 def _settings_table(study: Study) -> list[str]:
     lines = [
-        "Error of the strength ratio (mesh, with the uncertainty of the limit, plus increment), of "
-        "the peak force, and processor time of the longest test and of all:",
+        "Error of the strength ratio (mesh, with the uncertainty of the limit, plus increment) and "
+        f"of the peak force after {' and '.join(settled_times(study))}, and processor time of the "
+        "longest test and of all:",
         "",
         _line(["element", "edges / mm", "increment", "ratio", "force", "longest", "all"]),
         _line(["---", *["---:"] * 6]),
@@ -225,7 +227,8 @@ def presets_text(study: Study, command: str) -> str:
         )
     lines = [
         "# Mesh, element and increment of the presets, with their measured error of the strength",
-        "# ratio (largest relative error over the immersion times; reference screw).",
+        "# ratio (largest relative error over the immersion times at which the limit of the meshes",
+        "# is known to 10 %, `settled`; reference screw).",
         f"# Written by: {command}",
         "# then copied to pipeline/presets_tensile.toml. A preset is the cheapest setting within",
         "# its wanted error whose longest test stays below most_seconds, or the best of those.",
@@ -233,6 +236,7 @@ def presets_text(study: Study, command: str) -> str:
         f'command = "{command}"',
         f"alloys = {list(study.alloys)}".replace("'", '"'),
         f"immersion = {list(study.immersion)}".replace("'", '"'),
+        f"settled = {settled_times(study)}".replace("'", '"'),
     ]
     for name, (wanted, most) in PRESETS.items():
         s, reached = cheapest(found, wanted, most)

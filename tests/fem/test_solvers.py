@@ -85,8 +85,8 @@ def test_iterations_of_the_two_levels_grow_neither_with_the_mesh_nor_with_the_ju
             assert solver.solve(right, 1e-8) is not None
             assert solver.statistics.fallbacks == 0
             iterations.append(solver.statistics.iterations)
-    print(iterations)
-    assert max(iterations) <= 40
+    # measured 15 to 27; the solver itself gives up after 60
+    assert max(iterations) <= 32
 
 
 def test_the_coarse_space_follows_the_unknowns_that_cells_leave_fixed():
@@ -101,9 +101,29 @@ def test_the_coarse_space_follows_the_unknowns_that_cells_leave_fixed():
     constrain(d.row_start, d.columns, values, fixed, float(np.abs(values).max()))
     right[fixed] = 0.0
     solver.set_values(values)
+    before = solver.statistics.iterations
     solution = solver.solve(right, 1e-8)
     assert residual(assembler, values, right, solution) <= 1.1e-8
     assert np.all(solution[fixed] == 0.0)
+    new = LinearSolver(MPI.COMM_SELF, d, fixed, "pmg")
+    new.set_values(values)
+    new.solve(right, 1e-8)
+    assert solver.statistics.iterations - before == new.statistics.iterations
+
+
+def test_a_large_coarse_system_is_solved_by_a_cycle_that_knows_the_rigid_motions(monkeypatch):
+    assembler, values, right, fixed = system((4, 4, 6), 1e-4)
+    iterations = []
+    for most in (60_000, 0):
+        monkeypatch.setattr("fem.solvers._COARSE_UNKNOWNS", most)
+        solver = LinearSolver(MPI.COMM_SELF, assembler.discretisation, fixed, "pmg")
+        solver.set_values(values)
+        solution = solver.solve(right, 1e-8)
+        assert residual(assembler, values, right, solution) <= 1.1e-8
+        assert solver.statistics.fallbacks == 0
+        iterations.append(solver.statistics.iterations)
+    # measured 23 and 26; 39 without the rigid motions
+    assert iterations[0] < iterations[1] <= 30
 
 
 def test_four_node_elements_have_no_two_levels():

@@ -198,6 +198,9 @@ def test_peak_of_curve():
     at, peak = peak_of_curve(x, 5 - (x - 1.8) ** 2)
     assert at == pytest.approx(1.8) and peak == pytest.approx(5.0)
     assert peak_of_curve(x, x) == (3.0, 3.0)
+    # a corroded screw's, which breaks off: the parabola would have its vertex at 300.7
+    x, y = np.array([3.43, 3.93, 3.98]), np.array([277.61, 278.50, 269.95])
+    assert peak_of_curve(x, y) == (3.93, 278.50)
 
 
 @pytest.mark.parametrize(
