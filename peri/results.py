@@ -18,6 +18,10 @@ _UNITS = {
 }
 
 
+class CheckpointError(ValueError):
+    """A checkpoint that is of another march, or cannot be read."""
+
+
 def fingerprint(scene, times, stepping, solver_tolerance) -> str:
     """Hash of everything that determines a march."""
     digest = hashlib.sha256()
@@ -46,18 +50,23 @@ def read_checkpoint(path: Path, mark: str) -> dict[str, np.ndarray]:
 
     Raises
     ------
-    ValueError
-        If it belongs to another march.
+    CheckpointError
+        If it belongs to another march or cannot be read.
     """
     arrays: dict[str, np.ndarray] = {}
-    with h5py.File(path, "r") as file:
-        if file.attrs.get("fingerprint") != mark:
-            raise ValueError(f"checkpoint: {path} belongs to another scene or other settings")
-        file.visititems(
-            lambda name, item: arrays.__setitem__(name, item[()])
-            if isinstance(item, h5py.Dataset)
-            else None
-        )
+    try:
+        with h5py.File(path, "r") as file:
+            if file.attrs.get("fingerprint") != mark:
+                raise CheckpointError(
+                    f"checkpoint: {path} belongs to another scene or other settings"
+                )
+            file.visititems(
+                lambda name, item: arrays.__setitem__(name, item[()])
+                if isinstance(item, h5py.Dataset)
+                else None
+            )
+    except (OSError, RuntimeError) as error:
+        raise CheckpointError(f"checkpoint: {path} cannot be read ({error})") from error
     return arrays
 
 

@@ -20,7 +20,7 @@ from peri.corrosion.scene import CorrosionScene
 from peri.influence import diffusion_stencil
 from peri.lattice import Lattice, ball, box_lattice, cylinder
 from peri.marching import TimeStepping
-from peri.results import write_corrosion, write_history, write_image_series
+from peri.results import CheckpointError, write_corrosion, write_history, write_image_series
 from pipeline.geometry_stage import read_surface
 from pipeline.rate_law import read_kinetics
 from pipeline.scene import CorrosionParameters, Scene
@@ -207,10 +207,8 @@ def corrode_in_folder(
 
     try:
         result, omissions = march(checkpoint.exists())
-    except (ValueError, OSError):
-        if not checkpoint.exists():
-            raise
-        logger.warning("%s is not of this march; it starts anew", checkpoint)
+    except CheckpointError as error:
+        logger.warning("%s; the march starts anew", error)
         checkpoint.unlink()
         result, omissions = march(False)
     write_corrosion(out / CORROSION_FILE, result)

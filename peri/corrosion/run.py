@@ -104,9 +104,11 @@ def corrode(
     Raises
     ------
     ValueError
-        For bad times, a checkpoint of another march, an explicit step above its limit (which
-        changes as nodes turn liquid; without `step` the march follows it), or liquid without
-        saturation that a Faradaic flux fills beyond the metal's concentration.
+        For bad times, an explicit step above its limit (which changes as nodes turn liquid;
+        without `step` the march follows it), or liquid without saturation that a Faradaic flux
+        fills beyond the metal's concentration.
+    results.CheckpointError
+        A ValueError, for a checkpoint of another march or one that cannot be read.
     """
     stepping = stepping or TimeStepping()
     times = _check_times(times)

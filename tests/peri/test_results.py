@@ -9,6 +9,7 @@ import pytest
 from peri.corrosion.run import HISTORY, corrode
 from peri.marching import TimeStepping
 from peri.results import (
+    CheckpointError,
     fingerprint,
     read_checkpoint,
     read_corrosion,
@@ -88,8 +89,11 @@ def test_checkpoints_know_whose_they_are(tmp_path):
     read = read_checkpoint(path, "mark")
     assert set(read) == set(arrays)
     np.testing.assert_array_equal(read["group/b"], np.eye(2))
-    with pytest.raises(ValueError, match="belongs to another scene"):
+    with pytest.raises(CheckpointError, match="belongs to another scene"):
         read_checkpoint(path, "other")
+    path.write_bytes(path.read_bytes()[:600])
+    with pytest.raises(CheckpointError, match="cannot be read"):
+        read_checkpoint(path, "mark")
 
 
 def test_fingerprint_sees_every_input():
