@@ -159,6 +159,7 @@ def _screw_case(alloy: str, m: int, spacing: float) -> list:
     return [
         *found,
         Result(f"{name}: without {left_out}", lean["seconds"], "s", target),
+        Result(f"{name}: its processor time", lean["processor_seconds"], "s"),
         Result(f"{name}: its peak memory", lean["peak_bytes"], "B", "<= 4e9"),
         Result(f"{name}: its volume loss", lean["volume_loss"], "1"),
         Result(f"{name}: bound of leaving it out, relative", lean["bound"], "1", "<= 1e-3"),

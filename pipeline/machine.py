@@ -37,8 +37,9 @@ def processor_cores() -> int:
 def child_environment(ranks: int, threads: int | None) -> dict[str, str]:
     """Environment of a child process that imports this checkout, alone or under mpirun.
 
-    ranks: how many start together, 0 or 1 for one process; threads: of Numba, each rank's own, None
-    leaves the choice to the child.
+    ranks: how many start together, 1 for a single one; each gets one thread of OpenMP (BLAS) and
+    the settings of Open MPI.  0: one process that knows nothing of MPI and keeps the OpenMP
+    threads of the caller.  threads: of Numba, each rank's own, None leaves the choice to the child.
     """
     environment = dict(os.environ)
     # threads and ranks that wait give their core away: on a busy machine spinning costs many times

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.machine import child_environment
 from pipeline.resolve import resolve_scene
 from pipeline.scene import Scene
 from pipeline.units import parse_immersion_times
@@ -163,9 +164,8 @@ class Workshop:
         pulls = list(pulls)
         for size, fine in {(p.mesh_size, p.mesh_size_fine): None for p in pulls}:
             self.mesh(size, fine)
-        names = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS")
-        before = {name: os.environ.get(name) for name in names}
-        os.environ.update(dict.fromkeys(names, "1"))
+        before = dict(os.environ)  # what is spawned inherits it
+        os.environ.update(child_environment(ranks=1, threads=1))
         try:
             with ProcessPoolExecutor(
                 workers, multiprocessing.get_context("spawn"), _warm_up
@@ -179,11 +179,8 @@ class Workshop:
                     rows[waiting[future]] = future.result()
                     done(future.result())
         finally:
-            for name, value in before.items():
-                if value is None:
-                    os.environ.pop(name, None)
-                else:
-                    os.environ[name] = value
+            os.environ.clear()
+            os.environ.update(before)
         return [rows[n] for n in range(len(pulls))]
 
 

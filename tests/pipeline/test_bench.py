@@ -2,6 +2,7 @@
 
 import pytest
 
+from pipeline import bench_corrosion
 from pipeline.bench_case import in_own_process, peak_memory, published_screw
 
 
@@ -27,3 +28,21 @@ def test_the_published_screw_can_be_made_coarse(m):
     assert scene.horizon == pytest.approx(m * 2e-4)
     assert 30_000 < scene.domain.sum() < 36_000  # 4/3 pi 20^3 = 33,510
     assert scene.metal.sum() > 500
+
+
+def test_the_screw_reports_wall_and_processor_time_of_both_marches(monkeypatch):
+    def march(case, *, lean=False, **choices):
+        found = {
+            "volume_loss": 0.1, "steps": 9, "nodes": 100, "bonds": 32, "peak_bytes": 1e8,
+            "seconds": 4.0 if lean else 40.0, "processor_seconds": 5.0 if lean else 50.0,
+        }  # fmt: skip
+        if lean:
+            return {**found, "left_out": ["liquid"], "clean_liquid": True, "bound": 1e-6}
+        return {**found, "iterations": 90, "balance_error": 1e-12}
+
+    monkeypatch.setattr(bench_corrosion, "in_own_process", march)
+    values = {r.quantity: r.value for r in bench_corrosion.screw(2e-4, (2,))}
+    assert values["Mg-5Gd, m = 2: liquid everywhere"] == 40.0
+    assert values["Mg-5Gd, m = 2: liquid everywhere, processor time"] == 50.0
+    assert values["Mg-5Gd, m = 2: without liquid"] == 4.0
+    assert values["Mg-5Gd, m = 2: its processor time"] == 5.0
