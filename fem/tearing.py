@@ -16,21 +16,21 @@ from fem.discretisation import Discretisation
 STRENGTH_LEFT = 0.05
 """Largest share 1 - q1 f of the strength that a torn cell may still have."""
 STRETCH = 2.0
-"""Principal stretch that a torn cell exceeds, at one of its points at least."""
+"""Principal stretch that such a cell exceeds, at one of its points at least."""
+STRETCH_ANY = 5.0
+"""The same of a cell of any strength: no metal is drawn out to five times its length."""
 
 
 def torn_cells(
     discretisation: Discretisation, displacement: np.ndarray, damage: np.ndarray, laws: Laws
 ) -> np.ndarray:
-    """Local cells (nl,) bool to be taken as torn, at an equilibrium.
+    """Local cells (nl,) bool to be taken as torn, at an equilibrium or where Newton has run away to.
 
     displacement (n, 3) [m]; damage (nl, nq).
     """
     d = discretisation
-    torn = (1.0 - laws.per_cell(Q1) * damage <= STRENGTH_LEFT).all(axis=1)
-    weak = np.flatnonzero(torn)
-    moved = displacement[d.cells[weak]]
-    gradient = np.eye(3) + np.einsum("cai,cqaj->cqij", moved, d.gradients[weak])
-    stretch = np.linalg.svd(gradient, compute_uv=False)[..., 0]
-    torn[weak] = (stretch > STRETCH).any(axis=1)
-    return torn
+    moved = displacement[d.cells]
+    gradient = np.eye(3) + np.einsum("cai,cqaj->cqij", moved, d.gradients, optimize=True)
+    largest = np.linalg.eigvalsh(np.swapaxes(gradient, 2, 3) @ gradient)[..., -1].max(axis=1)
+    weak = (1.0 - laws.per_cell(Q1) * damage <= STRENGTH_LEFT).all(axis=1)
+    return largest > np.where(weak, STRETCH, STRETCH_ANY) ** 2

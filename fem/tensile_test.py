@@ -242,7 +242,9 @@ class _Test:
                 log.info("strain %.5f: %s, halving the increment", strain + size, reason)
                 size *= 0.5
                 halvings, failures = halvings + 1, failures + 1
-                if failures >= _FAILURES and self._remove(self._torn(displacement)):
+                # after as many failures again, what runs away on the way to no equilibrium is torn
+                state = displacement if failures < 2 * _FAILURES else tried
+                if failures >= _FAILURES and self._remove(self._torn(state)):
                     size, failures, previous = size * 2.0**failures, 0, None
                     self.solver.maximum_iterations = s.maximum_iterations
                     parted = self._parted()
