@@ -24,7 +24,7 @@ STRETCH_ANY = 5.0
 def torn_cells(
     discretisation: Discretisation, displacement: np.ndarray, damage: np.ndarray, laws: Laws
 ) -> np.ndarray:
-    """Local cells (nl,) bool to be taken as torn, at an equilibrium or where Newton has run away to.
+    """Local cells (nl,) bool to be taken as torn, at an equilibrium or where Newton ran away to.
 
     displacement (n, 3) [m]; damage (nl, nq).
     """
