@@ -105,7 +105,7 @@ def test_the_report_quotes_the_tensile_error_of_the_preset_used(name):
 
 @pytest.mark.parametrize(
     "changes",
-    [{"mesh_size": 0.19e-3}, {"tensile": {"damage": "point"}}, {"tensile": {"increment": 0.02}}],
+    [{"mesh_size": 0.19e-3}, {"tensile": {"damage": "point"}}, {"tensile": {"increment": 0.03}}],
 )
 def test_other_tensile_settings_do_not_borrow_the_error_of_a_preset(changes):
     run = run_of(**changes)
