@@ -28,6 +28,10 @@ from fem.quadrature_state import Fields
 SCHEMA_VERSION = 1
 
 
+class CheckpointError(ValueError):
+    """A checkpoint that is damaged or belongs to another test."""
+
+
 @dataclass(frozen=True)
 class Increment:
     """One accepted increment as an observer sees it; arrays are this rank's, not to be changed."""
@@ -184,15 +188,17 @@ def restore(test: Any, path: str | Path) -> tuple:
     """Put a test into the state of a checkpoint; collective.
 
     Returns (displacement, previous, previous_size, strain, size, peak, work, dissipated, rows) as
-    in `Increment`. Raises FileNotFoundError, or ValueError if the file is no checkpoint of this
+    in `Increment`. Raises FileNotFoundError, or CheckpointError if the file is none of this
     mesh, damage, material, element, grips and load.
     """
     content, error = None, None
     if test.comm.rank == 0:
         try:
             content = _read(test, Path(path))
-        except (OSError, ValueError) as problem:
+        except (FileNotFoundError, CheckpointError) as problem:
             error = problem
+        except (OSError, KeyError, ValueError) as problem:
+            error = CheckpointError(f"checkpoint {path} cannot be read ({problem})")
     error = test.comm.bcast(error)
     if error is not None:
         raise error
@@ -220,7 +226,7 @@ def _read(test, path: Path) -> tuple:
         raise FileNotFoundError(f"checkpoint {path} does not exist")
     with h5py.File(path, "r") as file:
         if file.attrs.get("fingerprint") != _fingerprint(test):
-            raise ValueError(
+            raise CheckpointError(
                 f"checkpoint {path} belongs to another mesh, damage, material, element, grips "
                 "or load"
             )
@@ -256,7 +262,7 @@ def _lookup(stored: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     order = np.argsort(stored)
     at = order[np.minimum(np.searchsorted(stored, wanted, sorter=order), len(stored) - 1)]
     if not np.array_equal(stored[at], wanted):
-        raise ValueError("checkpoint: it lacks cells or nodes of this mesh")
+        raise CheckpointError("checkpoint: it lacks cells or nodes of this mesh")
     return at
 
 

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from fem.constitutive.gurson import Q1
 from fem.constitutive.laws import Laws
+from fem.constitutive.material import strength_left
 from fem.discretisation import Discretisation
 
 STRENGTH_LEFT = 0.05
-"""Largest share 1 - q1 f of the strength that a torn cell may still have."""
+"""Largest share 1 - q1 f* of the strength that a torn cell may still have."""
 STRETCH = 2.0
 """Principal stretch that such a cell exceeds, at one of its points at least."""
 STRETCH_ANY = 5.0
@@ -32,5 +32,6 @@ def torn_cells(
     moved = displacement[d.cells]
     gradient = np.eye(3) + np.einsum("cai,cqaj->cqij", moved, d.gradients, optimize=True)
     largest = np.linalg.eigvalsh(np.swapaxes(gradient, 2, 3) @ gradient)[..., -1].max(axis=1)
-    weak = (1.0 - laws.per_cell(Q1) * damage <= STRENGTH_LEFT).all(axis=1)
+    left = strength_left(damage, laws.parameters, laws.of_cell)
+    weak = (left <= STRENGTH_LEFT).all(axis=1)
     return largest > np.where(weak, STRETCH, STRETCH_ANY) ** 2

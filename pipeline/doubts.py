@@ -260,7 +260,7 @@ def omissions(run: RunResults) -> list[dict[str, str]]:
             if isinstance(entry, dict) and entry.get("applied", True):
                 bound = entry.get("bound")
                 text = f"{percent(bound, 3)} of the volume loss" if _finite(bound) else "not known"
-                name = str(entry.get("name", "")).replace("_", " ")
+                name = str(entry.get("name", ""))  # as --keep wants it
                 reason = str(entry.get("reason", ""))
                 found.append({"alloy": alloy.name, "what": name, "reason": reason, "bound": text})
     return found

@@ -85,7 +85,7 @@ def run_job(job: TensileJob, comm: object = None) -> None:
 
     from fem.constitutive.hardening import VoceHardening
     from fem.constitutive.material import Material
-    from fem.results import Checkpoint, ParaviewSeries
+    from fem.results import Checkpoint, CheckpointError, ParaviewSeries
     from fem.solid import Grips
     from fem.tensile_test import TensileSettings, tensile_test
 
@@ -144,7 +144,7 @@ def run_job(job: TensileJob, comm: object = None) -> None:
     if comm.bcast(checkpoint.exists()):
         try:
             result = pull(checkpoint)
-        except (ValueError, OSError) as error:
+        except CheckpointError as error:
             logger.warning("%s; the test starts anew", error)
             result = pull(None)
     else:

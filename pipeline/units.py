@@ -104,7 +104,7 @@ def format_length(value: float) -> str:
     return f"{value * 1e6:.4g} um" if value < 1e-3 else f"{value * 1e3:.4g} mm"
 
 
-_LENGTH = re.compile(r"([+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)\s*([a-zA-Z]+)?")
+_QUANTITY = re.compile(r"([+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)\s*([a-zA-Z]+)?")
 
 
 def parse_angle(text: str, field: str = "angle") -> float:
@@ -112,13 +112,7 @@ def parse_angle(text: str, field: str = "angle") -> float:
 
     Raises ValueError with one sentence when the number or the unit is missing or wrong.
     """
-    match = _LENGTH.fullmatch(text.strip())
-    if match is None or match.group(2) not in RADIANS_PER:
-        raise ValueError(
-            f"{field} '{text}' is not understood; give a number and a unit out of "
-            f"{', '.join(RADIANS_PER)}, for example 30deg"
-        )
-    return float(match.group(1)) * RADIANS_PER[match.group(2)]
+    return _parse(text, field, RADIANS_PER, "30deg")
 
 
 def parse_length(text: str, field: str = "length") -> float:
@@ -126,10 +120,14 @@ def parse_length(text: str, field: str = "length") -> float:
 
     Raises ValueError with one sentence when the number or the unit is missing or wrong.
     """
-    match = _LENGTH.fullmatch(text.strip())
-    if match is None or match.group(2) not in METRES_PER:
+    return _parse(text, field, METRES_PER, "2mm or 100um")
+
+
+def _parse(text: str, field: str, units: dict[str, float], example: str) -> float:
+    match = _QUANTITY.fullmatch(text.strip())
+    if match is None or match.group(2) not in units:
         raise ValueError(
             f"{field} '{text}' is not understood; give a number and a unit out of "
-            f"{', '.join(METRES_PER)}, for example 2mm or 100um"
+            f"{', '.join(units)}, for example {example}"
         )
-    return float(match.group(1)) * METRES_PER[match.group(2)]
+    return float(match.group(1)) * units[match.group(2)]

@@ -143,14 +143,28 @@ class Material:
 
 
 @kernel
+def _strength_left(damage: float, material: np.ndarray) -> float:
+    """Share 1 - q1 f* of the strength."""
+    effective, _ = effective_damage(damage, material)
+    return 1.0 - material[Q1] * effective
+
+
+@kernel
+def strength_left(damage: np.ndarray, parameters: np.ndarray, of_cell: np.ndarray) -> np.ndarray:
+    """`_strength_left` for an array of f (nc, nq); parameters, of_cell: see `laws.Laws`."""
+    left = np.empty_like(damage)
+    for c in range(damage.shape[0]):
+        for q in range(damage.shape[1]):
+            left[c, q] = _strength_left(damage[c, q], parameters[of_cell[c]])
+    return left
+
+
+@kernel
 def _stiffness_left(damage: float, material: np.ndarray) -> float:
-    """Moduli over those of the intact metal: 1 - q1 f*, as the strength; a void's beyond f_max."""
+    """Moduli over those of the intact metal: as the strength falls; a void's beyond f_max."""
     if damage >= material[LIMIT]:
         return VOID_STIFFNESS
-    if material[STIFFNESS_LOSS] > 0.0:
-        effective, _ = effective_damage(damage, material)
-        return 1.0 - material[Q1] * effective
-    return 1.0
+    return _strength_left(damage, material) if material[STIFFNESS_LOSS] > 0.0 else 1.0
 
 
 @kernel

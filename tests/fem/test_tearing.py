@@ -48,6 +48,23 @@ def test_cells_drawn_out_are_torn_the_weak_ones_earlier():
         np.testing.assert_array_equal(torn, expected.astype(bool))
 
 
+def test_coalescence_makes_a_cell_weak_earlier():
+    """Failure at f = 0.317: 5 % of the strength are left at f = 0.309, not at 0.633."""
+    points, cells = distorted_box()
+    element, groups = find_element("P2"), np.arange(len(cells))
+    plan = destinations(points, cells, groups, 1)
+    local = compat.distribute(MPI.COMM_SELF, points, cells, plan, element.order)
+    discretisation = build(local, element, groups[local.original_cells], 1)
+    displacement = 1.5 * STRETCH * local.coordinates
+    damage = np.full((len(cells), element.points), 0.315)
+    for material, torn in (
+        (MAGNESIUM, False),
+        (replace(MAGNESIUM, coalescence=0.2, failure=0.317), True),
+    ):
+        laws = Laws.of([material], np.zeros(len(cells)))
+        assert np.all(torn_cells(discretisation, displacement, damage, laws) == torn)
+
+
 def test_a_test_that_would_stop_goes_on_without_its_shreds(monkeypatch, tmp_path):
     """Newton with two iterations fails often; then a shell that is all but gone is let go."""
     points, cells = round_bar(2, 4, 1e-3, 4e-3, waist=0.3)

@@ -116,6 +116,20 @@ def test_a_checkpoint_that_is_none_starts_the_pull_anew(job, tmp_path):
     assert read_result(tmp_path)["status"] == "completed"
 
 
+def test_a_pull_that_fails_on_its_way_is_not_repeated(job, tmp_path, monkeypatch):
+    (tmp_path / CHECKPOINT_FILE).write_bytes(b"kept")
+    calls = []
+
+    def fails(*_, resume, **__):
+        calls.append(resume)
+        raise ValueError("of the middle of a pull")
+
+    monkeypatch.setattr("fem.tensile_test.tensile_test", fails)
+    with pytest.raises(ValueError, match="of the middle"):
+        run_job(job)
+    assert calls == [tmp_path / CHECKPOINT_FILE]
+
+
 def test_what_another_job_left_is_removed_and_what_this_one_left_is_kept(job, tmp_path):
     left = [tmp_path / CHECKPOINT_FILE, tmp_path / "tensile_0004.vtu", tmp_path / "tensile.pvd"]
     for path in left:
