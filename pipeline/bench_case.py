@@ -99,15 +99,22 @@ def solve(spacing: float, m: int, ratio: float) -> dict:
 
 
 def screw_march(
-    alloy: str, m: int, spacing: float, rate_change: float = 0.05, lean: bool = False
+    alloy: str,
+    m: int,
+    spacing: float,
+    rate_change: float = 0.05,
+    lean: bool = False,
+    steps: list[float] | None = None,
 ) -> dict:
     """The screw in a ball of liquid of radius 4 mm, 56 days: all computed, or what is needed.
 
-    Where clean liquid is proven, also V_L of the scalar equation, exact in time, on the same
-    lattice.
+    lean: with what is not needed left out; where that is the liquid, the march is a scalar
+    equation, exact in time.  steps: of a march with all computed, s; a lean case then also
+    takes these steps in clean liquid, apart from its own time.
     """
     from peri.corrosion.planning import LIQUID, SOLID_CORE, corrode_lean, plan_omissions
     from peri.corrosion.run import corrode
+    from peri.corrosion.well_stirred import clean_march
     from peri.marching import TimeStepping
 
     scene = published_screw(alloy, m, spacing)
@@ -132,9 +139,10 @@ def screw_march(
         found = {
             "iterations": int(result.history["iterations"].sum()),
             "balance_error": float(np.abs(result.history["balance_error"]).max()),
+            "step_lengths": result.history["step"][1:].tolist(),
+            "losses": result.history["volume_loss"][1:].tolist(),
         }
-    return {
-        **found,
+    found |= {
         "seconds": time.perf_counter() - start,
         "processor_seconds": time.process_time() - begun,
         "nodes": int(scene.domain.sum()),
@@ -143,6 +151,9 @@ def screw_march(
         "volume_loss": float(result.volume_loss[-1]),
         "peak_bytes": peak_memory(),
     }
+    if steps and found.get("clean_liquid"):
+        found["clean_losses"] = clean_march(scene, steps).tolist()
+    return found
 
 
 def published_screw(alloy: str, m: int, spacing: float = 50e-6):

@@ -13,10 +13,12 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from peri.corrosion.bimaterial import BiMaterial
 from peri.corrosion.run import HISTORY, CorrosionResult
 from peri.corrosion.scene import CorrosionScene
+from peri.marching import GAMMA
 
 
 def well_stirred(
@@ -46,20 +48,10 @@ def well_stirred(
     CorrosionResult
         Liquid concentrations are 0; history has a hundred even times and the output times.
     """
-    if scene.dissolution != "proportional":
-        raise ValueError(
-            f"dissolution: {scene.dissolution!r}; clean liquid reduces to one equation for "
-            "'proportional' only"
-        )
+    _refuse_other_laws(scene)
     started = clock.perf_counter()
     times = np.asarray(times, float)
-    problem = problem or BiMaterial(scene)
-    rates = problem.metal_rates()[scene.metal]
-    volumes = scene.capacity()[scene.metal]
-    exposed = rates > 0
-    # Nodes of (nearly) one rate form one class: the sums below run over classes, exactly.
-    levels, member = np.unique(rates[exposed], return_inverse=True)
-    weights = np.bincount(member, volumes[exposed], levels.size)
+    rates, levels, weights, volumes = _classes(scene, problem)
     solid, saturated = scene.solid_concentration, scene.saturation_concentration
     scale = volumes.sum() * (solid - saturated)
 
@@ -103,3 +95,61 @@ def well_stirred(
     return CorrosionResult(
         scene, times, concentration, metal, losses, history, clock.perf_counter() - started
     )
+
+
+def clean_march(
+    scene: CorrosionScene, steps: Sequence[float], problem: BiMaterial | None = None
+) -> np.ndarray:
+    """V_L after each of the SDIRK2 steps given (s), as if all liquid were clean.
+
+    The difference to `run.corrode` with the same steps (its history["step"]) is what the liquid
+    does, free of the error in time; the difference to `well_stirred` is that error alone.
+    Valid as there, and while every step of the march was of second order.
+    """
+    _refuse_other_laws(scene)
+    _, levels, weights, volumes = _classes(scene, problem)
+    solid, saturated = scene.solid_concentration, scene.saturation_concentration
+    total = volumes.sum() * (solid - saturated)
+    never = (volumes.sum() - weights.sum()) * (solid - saturated)  # what sees no liquid
+
+    def stage(right: np.ndarray, tau: float) -> np.ndarray:
+        """Y = right - tau lambda g(V_L(Y)) Y."""
+
+        def after(loss: float) -> np.ndarray:
+            return right / (1.0 + tau * levels * scene.kinetics.factor(loss))
+
+        def excess(loss: float) -> float:
+            left = never + float(weights @ np.maximum(after(loss) - saturated, 0.0))
+            return 1.0 - left / total - loss
+
+        # The loss falls as V_L grows in the kinetics, so the root is the only one.
+        return after(brentq(excess, 0.0, 1.0, xtol=1e-15, rtol=1e-14))
+
+    concentration, losses = np.full(levels.size, solid), []
+    for step in steps:
+        first = stage(concentration, GAMMA * step)
+        slope = (first - concentration) / GAMMA
+        concentration = stage(concentration + (1.0 - GAMMA) * slope, GAMMA * step)
+        losses.append(1.0 - (never + float(weights @ (concentration - saturated))) / total)
+    return np.array(losses)
+
+
+def _refuse_other_laws(scene: CorrosionScene) -> None:
+    if scene.dissolution != "proportional":
+        raise ValueError(
+            f"dissolution: {scene.dissolution!r}; clean liquid reduces to one equation for "
+            "'proportional' only"
+        )
+
+
+def _classes(scene: CorrosionScene, problem: BiMaterial | None):
+    """Rates (1/s) and volumes of the metal nodes, and the classes of one rate with their volumes.
+
+    Nodes of (nearly) one rate form one class, so that sums run over classes, exactly.
+    Returns rates, levels, weights, volumes; levels and weights are those of exposed nodes.
+    """
+    rates = (problem or BiMaterial(scene)).metal_rates()[scene.metal]
+    volumes = scene.capacity()[scene.metal]
+    exposed = rates > 0
+    levels, member = np.unique(rates[exposed], return_inverse=True)
+    return rates, levels, np.bincount(member, volumes[exposed], levels.size), volumes
