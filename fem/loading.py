@@ -20,7 +20,7 @@ LOADS = ("axial", "torsion", "bending")
 class Pull:
     """The grips are drawn apart along z.
 
-    extent: elongation per unit of nominal strain, the length of the solid [m].
+    extent: elongation per unit of nominal strain, the length between the grips [m].
     """
 
     extent: float

@@ -16,7 +16,7 @@ DAMAGE_UPDATES = ("cell", "point", "implicit")
 
 @dataclass(frozen=True)
 class TensileSettings:
-    """How the test is run. Strains are elongation over the length of the whole solid.
+    """How the test is run. Strains are elongation over the free length between the grips.
 
     load: how the top grip moves: "axial" (the tensile test), "torsion" (it turns about z) or
     "bending" (it turns about the lateral axis at the angle `bending_azimuth` [rad] from x; of two

@@ -41,7 +41,7 @@ class Held:
 
     bottom: float  # highest z held at the bottom [m]
     top: float  # lowest z held at the top [m]
-    length: float  # of the solid [m]
+    length: float  # between the grips [m]
 
     @classmethod
     def of(cls, points: np.ndarray, grips: Grips) -> Held:
@@ -51,7 +51,11 @@ class Held:
         if not length > 0:
             raise ValueError(f"the mesh has length {length} m along z; it must be positive")
         slack = 1e-6 * length
-        held = cls(low + grips.bottom_length + slack, high - grips.top_length - slack, length)
+        held = cls(
+            low + grips.bottom_length + slack,
+            high - grips.top_length - slack,
+            length - grips.bottom_length - grips.top_length,
+        )
         if held.bottom >= held.top:
             raise ValueError(
                 f"grip lengths are {grips.bottom_length} m and {grips.top_length} m; "

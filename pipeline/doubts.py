@@ -5,7 +5,7 @@ import numpy as np
 from pipeline.loads import LOADS
 from pipeline.plan import scene_omissions
 from pipeline.resolution import RESOLUTIONS, CorrosionError, Resolution, TensileError
-from pipeline.resolve import DEFAULT_PARAMETER_SET
+from pipeline.resolve import DEFAULT_PARAMETER_SET, grip_length
 from pipeline.run_results import ImmersionResult, RunResults, column
 from pipeline.scene import (
     DomainSettings,
@@ -104,10 +104,12 @@ def _corrosion_error(scene: Scene) -> CorrosionError | None:
 def _tensile_error(scene: Scene) -> TensileError | None:
     """What was measured of the preset's mesh and increment, if the scene uses just these."""
     preset = RESOLUTIONS.get(scene.resolution)
+    held = grip_length(scene.geometry, scene.lattice.horizon)
     if preset is None or not (
         _alike(scene.mesh, preset, size="mesh_size", size_fine="mesh_size_fine")
         and _alike(scene.tensile, preset, element="element", increment="increment")
         and _default(scene.tensile, "damage", "damage_length", "final_strain", "lateral", "load")
+        and scene.tensile.bottom_grip == scene.tensile.top_grip == held
     ):
         return None
     return preset.tensile_error
@@ -157,8 +159,8 @@ def _strength_error(run: RunResults) -> str:
         )
     if known is None:
         return (
-            "The discretisation error of the strength left has not been measured for this mesh, "
-            "element and increment, only for those of the presets."
+            "The discretisation error of the strength left has not been measured for these grips, "
+            "mesh, element and increment, only for those of the presets."
         )
     scene = run.scene
     same = scene.geometry == ScrewGeometry() and all(a.name in known.alloys for a in scene.alloys)

@@ -103,9 +103,9 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
     tensile.add_argument("--mesh-size", metavar="LENGTH", help="edge length in the bulk")
     tensile.add_argument("--mesh-size-fine", metavar="LENGTH", help="at thread and slot")
     tensile.add_argument("--element", metavar="E")
-    tensile.add_argument("--bottom-grip", metavar="LENGTH", help="held at the bottom (end face)")
+    tensile.add_argument("--bottom-grip", metavar="LENGTH", help="held at the bottom (as the top)")
     tensile.add_argument(
-        "--top-grip", metavar="LENGTH", help="held at the top (the slot; 0mm: end face)"
+        "--top-grip", metavar="LENGTH", help="held at the top (slot and horizon; 0mm: end face)"
     )
     tensile.add_argument("--lateral", metavar="L", help=f"grips leave it {' or '.join(LATERAL)}")
     tensile.add_argument(

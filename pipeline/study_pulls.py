@@ -33,7 +33,8 @@ class Pull:
 
     curve, choice: line of the plot and point on it; field: name of the corrosion field, empty for
     that of the quick lattice; samples: how often the edges of a cell are halved for the mean of f0
-    over it (fem.quadrature.sampling_points; 1 in a run), None: f0 at the quadrature points.
+    over it (fem.quadrature.sampling_points; 1 in a run), None: f0 at the quadrature points; grip:
+    length held at either end, 0: the end faces, None: as in a run (`pipeline.resolve.grip_length`).
     """
 
     curve: str
@@ -50,6 +51,7 @@ class Pull:
     peak_drop: float = 0.05
     field: str = ""
     samples: int | None = 1
+    grip: float | None = None
 
     def setting(self) -> tuple:
         """Everything but what is pulled and how long."""
@@ -88,7 +90,7 @@ class Row(Pull):
 class Workshop:
     """Solid, fields and meshes of the reference screw in a folder, each made when first asked for.
 
-    The screw is gripped beyond its slot, as in a run.
+    The screw is gripped as in a run unless a pull says otherwise.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -229,6 +231,8 @@ def pull_once(folder: Path, pull: Pull, limit: float = LIMIT_SECONDS) -> Row:
         points, cells = mesh["points"], mesh["cells"]
     with np.load(_field_path(folder, pull.field, pull.alloy, pull.immersion)) as field:
         damage = mapped_damage(points, cells, pull, field, 1.0 / values.q1)
+    held = (test.bottom_grip, test.top_grip) if pull.grip is None else (pull.grip, pull.grip)
+    grips = Grips(*held, test.lateral)
     begun = time.process_time()
     signal.signal(signal.SIGPROF, _overdue)
     signal.setitimer(signal.ITIMER_PROF, limit)
@@ -246,7 +250,7 @@ def pull_once(folder: Path, pull: Pull, limit: float = LIMIT_SECONDS) -> Row:
                 pull.element, test.final_strain, min(0.002, pull.increment), pull.increment,
                 peak_drop=pull.peak_drop, tolerance=pull.tolerance, damage=pull.damage,
                 damage_length=pull.damage_length, threads=1,
-                grips=Grips(test.bottom_grip, test.top_grip, test.lateral),
+                grips=grips,
             ),
         )  # fmt: skip
     except _Overdue:
@@ -324,9 +328,10 @@ def read_rows(path: Path) -> list[Row]:
             values: dict[str, object] = {}
             for field in fields(Row):
                 text = entry[field.name]
-                if field.type == "int | None":
-                    values[field.name] = int(text) if text else None
+                kind, _, empty = str(field.type).partition(" | ")
+                if empty:
+                    values[field.name] = kinds[kind](text) if text else None
                 else:
-                    values[field.name] = kinds[str(field.type)](text)
+                    values[field.name] = kinds[kind](text)
             rows.append(Row(**values))
     return rows

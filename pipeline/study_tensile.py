@@ -2,8 +2,9 @@
 
 Every run is the reference screw with the corrosion field of the quick lattice.  Meshes of three
 elements are pulled with the same increments; increments (of P2, and taken to hold for the others),
-tolerance and growth of f are varied on one mesh of an element each, the length that the growth is
-averaged over on three.  The reference of a peak force is the limit of the P2 meshes
+tolerance and growth of f are varied on one mesh of an element each, the grips on two.  The length
+that the growth of f is averaged over is varied with grips on the end faces, where the force does
+depend on it.  The reference of a peak force is the limit of the P2 meshes
 (`limit_of`); how far that limit lies from the finest mesh is its uncertainty, and part of every
 error that is quoted.
 """
@@ -25,8 +26,8 @@ MIDDLE, FINE, FINER, FINEST = (
     (0.22e-3, 0.14e-3), (0.2e-3, 0.12e-3), (0.16e-3, 0.1e-3), (0.12e-3, 0.08e-3)
 )  # fmt: skip
 MESHES = {
-    "P2": (COARSEST, COARSE, QUICK, FINE),
-    "P1-Fbar": (COARSE, QUICK, FINE, FINER),
+    "P2": (COARSEST, COARSE, QUICK, FINE, FINER),
+    "P1-Fbar": (COARSE, QUICK, FINE),
     "P1": (QUICK, FINE),
 }
 LONG_MESHES = {
@@ -44,9 +45,10 @@ INCREMENTS = (0.02, 0.01, 0.005, 0.0025)
 LONG_INCREMENTS = (0.02, 0.01, 0.005, 0.0025, 0.00125)
 TOLERANCES = (1e-3, 1e-5, 1e-7)
 LENGTHS = (0.0, 100e-6, 200e-6)
+GRIPS = (0.0, 0.5e-3, None, 0.9e-3)
 MESH_CURVES = ("P1", "P1-Fbar", "P2")
 INCREMENT_CURVE, TOLERANCE_CURVE = "increment (P2)", "tolerance (P1-Fbar)"
-DAMAGE_CURVE, LENGTH_CURVE = "growth of f", "averaging length"
+DAMAGE_CURVE, LENGTH_CURVE, GRIP_CURVE = "growth of f", "averaging length", "grips"
 
 
 @dataclass(frozen=True)
@@ -91,13 +93,16 @@ def plan_pulls(alloys: Sequence[str], immersion: Sequence[str], long: bool = Fal
         for t in times[1:]:
             p = _pull(DAMAGE_CURVE, alloy, t, "P1-Fbar", QUICK)
             pulls.append(replace(p, choice="P1-Fbar, implicit", damage="implicit"))
-        corroded = [t for t in times if t != "0w"][-1:]
-        for size in (COARSE, QUICK, FINE):
+        for size in (COARSE, QUICK):
+            for grip in GRIPS:
+                for t in times:
+                    p = _pull(GRIP_CURVE, alloy, t, "P2", size)
+                    text = "as in a run" if grip is None else f"{1e3 * grip:g} mm"
+                    pulls.append(replace(p, choice=f"{text}, {p.choice}", grip=grip))
             for x in LENGTHS:
-                for t in corroded:
-                    p = _pull(LENGTH_CURVE, alloy, t, "P2", size)
-                    text = f"{1e6 * x:.0f} um, {p.choice}"
-                    pulls.append(replace(p, choice=text, damage_length=x, peak_drop=0.12))
+                p = _pull(LENGTH_CURVE, alloy, times[-1], "P2", size)
+                text = f"{1e6 * x:.0f} um, {p.choice}"
+                pulls.append(replace(p, choice=text, damage_length=x, peak_drop=0.12, grip=0.0))
     return pulls
 
 

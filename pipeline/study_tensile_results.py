@@ -12,6 +12,7 @@ from pipeline.run_folder import write_text
 from pipeline.study_pulls import Row, weeks, write_rows
 from pipeline.study_tensile import (
     DAMAGE_CURVE,
+    GRIP_CURVE,
     INCREMENT_CURVE,
     LENGTH_CURVE,
     MESH_CURVES,
@@ -46,8 +47,14 @@ def tables(study: Study) -> list[str]:
             (INCREMENT_CURVE, "Largest strain increment"),
             (TOLERANCE_CURVE, "Tolerance of the residual"),
             (DAMAGE_CURVE, "How f grows"),
+            (GRIP_CURVE, "Length held at either end, mesh"),
         ):
-            lines += [f"{title}: peak force / N", "", *_choice_table(errors, curve), ""]
+            lines += [
+                f"{title}: peak force / N, in brackets the strength left / %",
+                "",
+                *_choice_table(errors, curve),
+                "",
+            ]
         lines += _softening_table(errors)
     return [*lines, "## Settings", "", *_settings_table(study), "", *cheapest_lines(study)]
 
@@ -138,8 +145,13 @@ def _choice_table(errors: Errors, curve: str) -> list[str]:
         texts = []
         for t in errors.times:
             row = mine.get(t)
-            early = row is not None and row.status.startswith("stopped")
-            texts.append("" if row is None else f"{row.peak_force:.1f}{' (stopped)' * early}")
+            if row is None:
+                texts.append("")
+                continue
+            early = " (stopped)" if row.status.startswith("stopped") else ""
+            ratio = errors.ratio_of(row)
+            known = f" [{100 * ratio:.1f}]" if np.isfinite(ratio) else ""
+            texts.append(f"{row.peak_force:.1f}{known}{early}")
         total = sum(r.processor_seconds for r in mine.values())
         lines.append(_line([choice, *texts, f"{total:.0f} s"]))
     return lines
@@ -150,8 +162,8 @@ def _softening_table(errors: Errors) -> list[str]:
     if not rows:
         return []
     lines = [
-        f"Softening after {rows[0].immersion}: force, strain at the peak, strain where a tenth of "
-        "it is lost",
+        f"Softening after {rows[0].immersion}, pulled at the end faces: force, strain at the peak, "
+        "strain where a tenth of it is lost",
         "",
         _line(["averaging length, mesh", "cells", "peak / N", "at / %", "a tenth lost at / %"]),
         _line(["---", *["---:"] * 4]),

@@ -188,8 +188,9 @@ def test_grip_length_shortens_the_free_part():
         grips=Grips(bottom_length=1e-3, top_length=1e-3),
     )  # fmt: skip
     result = tensile_test(points, cells, 0.0, Material(43e9, 0.0, LAW), settings)
-    # elastic, half the length free, no lateral strain: E log(1.002) / 1.002 times the section
-    expected = 43e9 * np.log(1.002) / 1.002 * 1e-6
+    # elastic, no lateral strain, 0.1 % of the free half: E log(1.001) / 1.001 times the section
+    expected = 43e9 * np.log(1.001) / 1.001 * 1e-6
+    assert result.length == pytest.approx(2e-3, rel=1e-12)
     assert result.force[-1] == pytest.approx(expected, rel=1e-10)  # measured 3e-14
 
 

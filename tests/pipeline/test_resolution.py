@@ -105,12 +105,17 @@ def test_the_report_quotes_the_tensile_error_of_the_preset_used(name):
 
 @pytest.mark.parametrize(
     "changes",
-    [{"mesh_size": 0.19e-3}, {"tensile": {"damage": "point"}}, {"tensile": {"increment": 0.03}}],
+    [
+        {"mesh_size": 0.19e-3},
+        {"tensile": {"damage": "point"}},
+        {"tensile": {"increment": 0.03}},
+        {"tensile": {"bottom_grip": 0.0, "top_grip": 0.0}},
+    ],
 )
 def test_other_tensile_settings_do_not_borrow_the_error_of_a_preset(changes):
     run = run_of(**changes)
     text = doubts.error_estimate(run)
-    assert "has not been measured for this mesh, element and increment" in text
+    assert "has not been measured for these grips, mesh, element and increment" in text
     assert "up to 24w" not in text + doubts.in_short(run, 3)
 
 

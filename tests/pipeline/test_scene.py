@@ -10,6 +10,7 @@ import pytest
 from pipeline.loads import LOADS
 from pipeline.options import add_scene_options, scene_from_options
 from pipeline.rate_law import KINETICS
+from pipeline.resolve import resolve_scene
 from pipeline.scene import (
     DAMAGE_UPDATES,
     DISSOLUTION_LAWS,
@@ -308,6 +309,15 @@ def test_the_growth_of_f_comes_from_the_command_line():
     assert (tensile.damage, tensile.damage_length) == ("cell", pytest.approx(1e-4))
     with pytest.raises(SceneError, match="damage is implicit; it must be cell"):
         scene_from_options(parser.parse_args([*words, "implicit"]))
+
+
+def test_the_grips_reach_a_horizon_below_the_slot_unless_told_otherwise():
+    test = resolve_scene(["Mg-5Gd"], ["8w"]).tensile
+    assert test.bottom_grip == test.top_grip == pytest.approx(0.7e-3)  # slot 0.5 mm, horizon 0.2
+    test = resolve_scene(["Mg-5Gd"], ["8w"], horizon=0.3e-3, spacing=0.1e-3).tensile
+    assert test.bottom_grip == test.top_grip == pytest.approx(0.8e-3)
+    test = resolve_scene(["Mg-5Gd"], ["8w"], tensile={"bottom_grip": 0.0}).tensile
+    assert (test.bottom_grip, test.top_grip) == (0.0, pytest.approx(0.7e-3))
 
 
 def test_the_loads_are_those_of_fem_and_called_as_there():
