@@ -130,6 +130,24 @@ def compare_lost_volume(
     }
 
 
+def net_section(
+    concentration: np.ndarray,
+    metal: np.ndarray,
+    capacity: np.ndarray,
+    spacing: Sequence[float],
+    solid_concentration: float,
+    maximum_damage: float = 2.0 / 3.0,
+) -> np.ndarray:
+    """Area (nz,) m^2 across z that still carries in each layer of nodes: metal times 1 - f0/f_max.
+
+    The strength of porous metal in shear falls by this factor.  The ratio of the smallest areas
+    after and before immersion is an estimate of the strength left that needs no mesh.
+    """
+    damage = np.minimum(_node_damage(concentration, metal, solid_concentration), maximum_damage)
+    carries = np.where(metal, capacity * (1.0 - damage / maximum_damage), 0.0)
+    return carries.sum(axis=(0, 1)) * float(spacing[0]) * float(spacing[1])
+
+
 def _node_damage(
     concentration: np.ndarray, metal: np.ndarray, solid_concentration: float
 ) -> np.ndarray:

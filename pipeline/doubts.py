@@ -45,6 +45,23 @@ def checks(run: RunResults) -> list[dict[str, str]]:
                 f"largest difference, after {duration(item.seconds)}: what the change from the "
                 "lattice to the mesh does to the damage",
             )
+    estimates = [
+        (abs(left - pulled), left, pulled, f"{alloy.name} after {duration(item.seconds)}")
+        for alloy in run.alloys
+        for item in alloy.immersions
+        if item.summary is not None
+        and item.seconds > 0
+        and _finite(left := item.map_numbers.get("net_section_left"))
+        and _finite(pulled := item.summary.strength_ratio)
+    ]
+    if estimates and run.scene.tensile.load == "axial":
+        _, left, pulled, case = max(estimates)
+        add(
+            "Strength left by the weakest section alone",
+            f"{percent(left, 0)} against {percent(pulled, 0)}",
+            f"largest difference, {case}: the metal in the weakest layer between the grips, each "
+            "part of it by 1 - q1 f0, over the same before immersion; no test is computed for it",
+        )
     torn = [
         (int(i.tensile.get("torn_cells", 0)), int(i.tensile.get("cells", 0)), a.name, i.label)
         for a in run.alloys

@@ -9,7 +9,7 @@ import numpy as np
 from fem.quadrature import quadrature_points, sampling_points
 from peri.results import read_corrosion
 from pipeline.corrosion_stage import CORROSION_FILE
-from pipeline.damage_map import compare_lost_volume, map_damage
+from pipeline.damage_map import compare_lost_volume, map_damage, net_section
 from pipeline.mesh import read_mesh
 from pipeline.scene import Scene
 from pipeline.units import ImmersionTime
@@ -23,8 +23,8 @@ def map_in_folder(
 ) -> tuple[list[Path], dict[str, object]]:
     """Map the field of one immersion time and write damage.h5; returns the files and numbers.
 
-    The numbers hold the mean of f0 over the mesh and the volumes lost on lattice and mesh, the
-    latter before f0 is cut off at 1/q1.
+    The numbers hold the mean of f0 over the mesh, the volumes lost on lattice and mesh, the latter
+    before f0 is cut off at 1/q1, and what is left of the smallest net section between the grips.
     """
     mesh = read_mesh(geometry)
     fields = read_corrosion(corrosion / CORROSION_FILE)
@@ -49,12 +49,34 @@ def map_in_folder(
         "mean_corrosion_damage": float((damage * weights).sum() / volume),
         "maximum_corrosion_damage": float(damage.max()),
         "volume_share_at_maximum": float(weights[damage >= maximum - 1e-12].sum() / volume),
+        "net_section_left": _net_section_left(scene, mesh.points, fields, number, solid, maximum),
         **lost,
     }
     if one_per_cell:
         damage = ((damage * weights).sum(axis=1) / weights.sum(axis=1))[:, None]
     write_damage(out / DAMAGE_FILE, damage, moment, scene.tensile.element)
     return [out / DAMAGE_FILE], numbers
+
+
+def _net_section_left(
+    scene: Scene, points: np.ndarray, fields: dict, number: int, solid: float, maximum: float
+) -> float | None:
+    """Smallest net section between the grips over that of the intact solid; None without a layer.
+
+    fields: of the corrosion stage; number: of the immersion time in them.
+    """
+    spacing, metal = fields["lattice/spacing"], fields["metal"]
+    height = fields["lattice/origin"][2] + spacing[2] * np.arange(metal.shape[2])
+    low = points[:, 2].min() + scene.tensile.bottom_grip
+    high = points[:, 2].max() - scene.tensile.top_grip
+    between = (low <= height) & (height <= high)
+    if not between.any():
+        return None
+    now, intact = (
+        net_section(c, metal, fields["capacity"], spacing, solid, maximum)[between].min()
+        for c in (fields["concentration"][number], np.where(metal, solid, 0.0))
+    )
+    return float(now / intact) if intact > 0.0 else None
 
 
 def write_damage(path: Path, damage: np.ndarray, moment: ImmersionTime, element: str) -> None:

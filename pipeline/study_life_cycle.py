@@ -22,7 +22,7 @@ WANTED_ERRORS = (0.10, 0.03, 0.01)
 LATTICES = (100e-6, 200e-6 / 3, 50e-6)
 RATE_CHANGES = (0.4, 0.1)
 SAMPLES = (None, 1, 2)
-INCREMENTS = (0.01, 0.005, 0.0025)
+INCREMENT_SHARES = (1.0, 0.5, 0.25)  # of the preset's
 MESHES = (
     ("P1-Fbar", 0.3e-3, 0.2e-3), ("P1-Fbar", 0.2e-3, 0.12e-3),
     ("P2", 0.5e-3, 0.4e-3), ("P2", 0.4e-3, 0.3e-3), ("P2", 0.3e-3, 0.2e-3), ("P2", 0.2e-3, 0.12e-3),
@@ -178,7 +178,9 @@ def _variants(base: Pull) -> list[tuple[str, str, Pull]]:
     for element, size, fine in MESHES:
         pull = replace(base, element=element, mesh_size=size, mesh_size_fine=fine)
         found.append(("mesh and element", f"{element} {1e3 * size:g}/{1e3 * fine:g} mm", pull))
-    found += [("increment", f"{100 * x:g} %", replace(base, increment=x)) for x in INCREMENTS]
+    for share in INCREMENT_SHARES:
+        size = share * base.increment
+        found.append(("increment", f"{100 * size:g} %", replace(base, increment=size)))
     return found
 
 

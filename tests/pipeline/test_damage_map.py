@@ -13,6 +13,7 @@ from pipeline.damage_map import (
     lost_volume_on_lattice,
     lost_volume_on_mesh,
     map_damage,
+    net_section,
 )
 from pipeline.voxels import metal_fraction
 from tests.pipeline.solids import quick_mesh, reference_screw, standard_mesh
@@ -231,6 +232,21 @@ def test_restricted_loses_less_mass_than_fitted():
     }
     assert abs(difference["restricted"]) < 0.02  # measured +0.8 %
     assert 0.05 < difference["fitted"] < 0.15  # measured +8.9 %
+
+
+def test_net_section_counts_what_each_layer_still_carries():
+    metal = np.ones(SHAPE, bool)
+    metal[0] = False
+    capacity = np.where(metal, 0.5, 7.0)  # of cells; what is no metal does not count
+    concentration = np.where(metal, SOLID, 0.0)
+    concentration[:, :, 1] *= 0.75
+    concentration[1, :, 2] = 0.0
+    areas = net_section(concentration, metal, capacity, SPACING, SOLID)
+    whole = 0.5 * metal[:, :, 0].sum() * SPACING[0] * SPACING[1]
+    assert areas.shape == (SHAPE[2],)
+    assert areas[0] == pytest.approx(whole, rel=1e-14)
+    assert areas[1] == pytest.approx((1 - 1.5 * 0.25) * whole, rel=1e-14)
+    assert areas[2] == pytest.approx((1 - 1 / (SHAPE[0] - 1)) * whole, rel=1e-14)
 
 
 def test_lost_volumes_of_a_uniform_loss():

@@ -109,7 +109,8 @@ def write_run(path, scene, points, cells):
             damage = np.clip(0.9 - depth / (2e-3 * (1.01 - ratio)), 0, 2 / 3) * (ratio < 1)
             with h5py.File(place / "damage.h5", "w") as file:
                 file["f0"] = np.repeat(damage[:, None], 4, axis=1)
-            record(folder, place, "map", 0.5, **lost_volume())
+            section = {"net_section_left": 0.9 * ratio}
+            record(folder, place, "map", 0.5, **lost_volume(), **section)
             strain = np.linspace(0, 0.1, 21)
             force = 500 * ratio * (1 - np.exp(-60 * strain)) * (1 - strain)
             work = np.cumsum(force) * 2e-5
@@ -267,6 +268,8 @@ def test_doubt_and_cost_are_stated(full):
     assert "measured up to 8 weeks in this very scene" in sure
     assert "beyond reach" in sure and "0.042 % of the volume loss" in sure
     assert "7 of 3,698" in sure  # cells let go
+    highest = max(ratio for ratios in RATIOS.values() for ratio in ratios[1:])
+    assert f"{90 * highest:.0f} % against {100 * highest:.0f} %" in sure  # the weakest section
     assert "needed" not in sure  # what was not left out is not listed
     assert "+0.54 %" in page.sections["made"]  # 9.3 / 9.25
 
