@@ -5,6 +5,7 @@ The field is the lattice's, mapped onto a refinement of the mesh as the damage m
 """
 
 import logging
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.damage_map import map_damage
+from pipeline.machine import processor_cores
 from pipeline.pictures import Cut, PictureRequest, refine_tetrahedra, render_pictures
 from pipeline.run_folder import RunFolder
 from pipeline.run_results import AlloyResult, ImmersionResult, RunResults
@@ -69,7 +71,13 @@ def make_pictures(run: RunResults) -> PictureSet:
                 path = folder / f"{alloy.name}_{item.label}_{cut}.png"
                 requests.append(PictureRequest(damage, path, cut))
                 paths[alloy.name, item.label, cut] = path
-    trouble = render_pictures(points, cells, requests, maximum_damage=1.0 / factor)
+    workers = processor_cores()
+    with ThreadPoolExecutor(workers) as pool:  # each waits for a process of its own
+        shares = [requests[first::workers] for first in range(workers)]
+        troubles = pool.map(
+            lambda share: render_pictures(points, cells, share, maximum_damage=1.0 / factor), shares
+        )
+        trouble = next(filter(None, troubles), "")
     return PictureSet({key: path for key, path in paths.items() if path.is_file()}, trouble)
 
 
