@@ -49,7 +49,7 @@ class Assembler:
         self._largest = tuple(int(size.max()) if size.size else 1 for size in sizes)
         self.force = np.zeros_like(discretisation.coordinates)
         self.values = np.zeros(9 * len(discretisation.columns))
-        self.seconds = 0.0
+        self.seconds, self.count = 0.0, 0
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
 
     def assemble(
@@ -71,6 +71,7 @@ class Assembler:
                 results += list(self._pool.map(lambda job: _assemble_groups(*job), jobs))
         totals = np.array(results).sum(axis=0)
         self.seconds += time.perf_counter() - start
+        self.count += 1
         return Assembled(self.force, self.values, int(totals[0]), totals[1], totals[2])
 
     def _job(self, first, last, displacement, state, stiffness):
