@@ -22,10 +22,12 @@ from typing import Any
 import h5py
 import numpy as np
 
+from fem.march import March
 from fem.quadrature import EDGES
 from fem.quadrature_state import Fields
 
 SCHEMA_VERSION = 1
+_SCALARS = ("previous_size", "strain", "size", "peak", "work", "dissipated")  # of March
 
 
 class CheckpointError(ValueError):
@@ -37,25 +39,17 @@ class Increment:
     """One accepted increment as an observer sees it; arrays are this rank's, not to be changed."""
 
     test: Any  # the running test: comm, discretisation, state, assembler.alive
-    displacement: np.ndarray  # (n, 3) of the local nodes [m]
-    previous: np.ndarray | None  # (n, 3) growth in the last increment [m], the next prediction
-    previous_size: float  # strain of the last increment
-    strain: float  # elongation over length, or the nominal one of the surface
-    size: float  # strain of the next increment
-    peak: float  # largest reaction so far [N or N m]
-    work: float  # of the grips [J]
-    dissipated: float  # [J]
-    rows: list[dict[str, float]]  # the history up to here, see TensileResult.history
+    march: March
 
     @property
     def number(self) -> int:
         """1 for the first increment."""
-        return len(self.rows) - 1
+        return len(self.march.rows) - 1
 
     @property
     def reaction(self) -> float:
         """Force [N], torque or moment [N m] of the top grip."""
-        return self.rows[-1][self.test.load.reaction]
+        return self.march.rows[-1][self.test.load.reaction]
 
     @property
     def fields(self) -> Fields:
@@ -92,7 +86,7 @@ class ParaviewSeries:
         parts = test.comm.gather((d.original_cells[shown], mean))
         vertex = d.mesh.input_vertices[: d.owned_nodes]
         moved = test.comm.gather(
-            (vertex[vertex >= 0], increment.displacement[: d.owned_nodes][vertex >= 0])
+            (vertex[vertex >= 0], increment.march.displacement[: d.owned_nodes][vertex >= 0])
         )
         if test.comm.rank != 0:
             return
@@ -125,7 +119,9 @@ class ParaviewSeries:
         temporary = self.folder / f".{self.name}.part.vtu"
         grid.save(temporary)
         os.replace(temporary, self.folder / name)
-        self._entries.append(f'<DataSet timestep="{100 * increment.strain:.9g}" file="{name}"/>')
+        self._entries.append(
+            f'<DataSet timestep="{100 * increment.march.strain:.9g}" file="{name}"/>'
+        )
         text = "\n".join(
             ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1">', "<Collection>"]
             + [*self._entries, "</Collection>", "</VTKFile>", ""]
@@ -150,19 +146,16 @@ class Checkpoint:
         test = increment.test
         d, mesh = test.discretisation, test.discretisation.mesh
         ends = _node_ends(test)[: mesh.owned_nodes]
-        motion = {"displacement": increment.displacement[: mesh.owned_nodes]}
-        if increment.previous is not None:
-            motion["previous"] = increment.previous[: mesh.owned_nodes]
+        motion = {"displacement": increment.march.displacement[: mesh.owned_nodes]}
+        if increment.march.previous is not None:
+            motion["previous"] = increment.march.previous[: mesh.owned_nodes]
         cells = {name: values[d.owned] for name, values in vars(increment.fields).items()}
         cells["alive"] = test.assembler.alive[d.owned]
         nodes = _gather(test.comm, ends, motion)
         cells = _gather(test.comm, d.original_cells[d.owned], cells)
         if test.comm.rank != 0:
             return
-        march = {
-            name: getattr(increment, name)
-            for name in ("previous_size", "strain", "size", "peak", "work", "dissipated")
-        }
+        march = {name: getattr(increment.march, name) for name in _SCALARS}
         march |= {"reference": test.solver.reference}
         march |= {"lost_cells": test.lost_cells, "torn_cells": test.torn_cells}
         self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -179,17 +172,18 @@ class Checkpoint:
             file["cells/number"] = test.prepared.kept[numbers]
             for name, values in fields.items():
                 file[f"cells/{name}"] = values
-            for name in increment.rows[0]:
-                file[f"history/{name}"] = np.array([row[name] for row in increment.rows], float)
+            for name in increment.march.rows[0]:
+                file[f"history/{name}"] = np.array(
+                    [row[name] for row in increment.march.rows], float
+                )
         os.replace(temporary, self.path)
 
 
-def restore(test: Any, path: str | Path) -> tuple:
-    """Put a test into the state of a checkpoint; collective.
+def restore(test: Any, path: str | Path) -> March:
+    """Put a test into the state of a checkpoint and return where it stands; collective.
 
-    Returns (displacement, previous, previous_size, strain, size, peak, work, dissipated, rows) as
-    in `Increment`. Raises FileNotFoundError, or CheckpointError if the file is none of this
-    mesh, damage, material, element, grips and load.
+    Raises FileNotFoundError, or CheckpointError if the file is none of this mesh, damage, material,
+    element, grips and load.
     """
     content, error = None, None
     if test.comm.rank == 0:
@@ -216,8 +210,8 @@ def restore(test: Any, path: str | Path) -> tuple:
     test.solver.reference = march.pop("reference")
     test.lost_cells = int(march.pop("lost_cells"))
     test.torn_cells = int(march.pop("torn_cells", 0))
-    names = ("previous_size", "strain", "size", "peak", "work", "dissipated")
-    return (displacement, previous, *(march[name] for name in names), rows)
+    scalars = {name: march[name] for name in _SCALARS}
+    return March(displacement=displacement, previous=previous, rows=rows, **scalars)
 
 
 def _read(test, path: Path) -> tuple:

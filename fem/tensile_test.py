@@ -25,7 +25,8 @@ from fem.constitutive.material import Material
 from fem.damage_length import DamageLength
 from fem.discretisation import Discretisation, build
 from fem.loading import Load, MovingGrip
-from fem.newton import INVERTED_PREDICTION, EquilibriumSolver
+from fem.march import March
+from fem.newton import INVERTED_PREDICTION, Equilibrium, EquilibriumSolver
 from fem.preparation import prepare
 from fem.quadrature import Element, find_element
 from fem.quadrature_state import QuadratureState
@@ -39,7 +40,6 @@ log = logging.getLogger(__name__)
 
 _FAILURES = 4  # in a row, after which cells are taken as torn or Newton goes on for longer
 _UNEVEN = 3.0  # of increments next to the peak
-_EASY, _HARD = 5, 8  # Newton iterations below which increments grow, above which they shrink
 
 
 @dataclass
@@ -220,84 +220,86 @@ class _Test:
 
     def run(self, progress: Progress | None, observers=(), resume=None) -> TensileResult:
         """March to the end of the test."""
-        s, extent, reaction = self.settings, self.load.extent, self.load.reaction
-        displacement = np.zeros_like(self.discretisation.coordinates)
-        previous, previous_size = None, 0.0
-        strain, size, status = 0.0, min(s.first_increment, s.maximum_strain), "completed"
-        rows: list[dict[str, float]] = [self._row(0.0, 0.0, 0, 0, 0.0, 0.0, 0.0)]
-        halvings, failures, peak, work, dissipated = 0, 0, 0.0, 0.0, 0.0
-        if resume is not None:
-            (displacement, previous, previous_size, strain, size, peak, work, dissipated,
-             rows) = restore(self, resume)  # fmt: skip
+        s, status = self.settings, "completed"
+        march = self._start() if resume is None else restore(self, resume)
         parted = resume is not None and self._parted()
-        while not parted and strain < s.maximum_strain * (1 - 1e-12):
-            size = min(size, s.maximum_strain - strain)
-            outcome, tried = self._increment(
-                displacement, strain + size, size, previous, previous_size
-            )
-            if outcome is None or not outcome.converged:
-                reason = "no prediction" if outcome is None else outcome.reason
-                log.info("strain %.5f: %s, halving the increment", strain + size, reason)
-                size *= 0.5
-                halvings, failures = halvings + 1, failures + 1
-                # after as many failures again, what runs away on the way to no equilibrium is torn
-                state = displacement if failures < 2 * _FAILURES else tried
-                if failures >= _FAILURES and self._remove(self._torn(state)):
-                    size, failures, previous = size * 2.0**failures, 0, None
-                    self.solver.maximum_iterations = s.maximum_iterations
-                    parted = self._parted()
-                elif failures >= _FAILURES:
-                    # what is left to settle is the last removal, which no smaller step makes less
-                    self.solver.maximum_iterations = 2 * s.maximum_iterations
-                if size < s.minimum_increment:
-                    status = f"stopped: {reason} at strain {strain:.5f}"
+        while not parted and march.strain < s.maximum_strain * (1 - 1e-12):
+            march.size = min(march.size, s.maximum_strain - march.strain)
+            outcome, tried = self._increment(march)
+            if not outcome.converged:
+                parted = self._retreat(march, outcome, tried)
+                if march.size < s.minimum_increment:
+                    status = f"stopped: {outcome.reason} at strain {march.strain:.5f}"
                     break
-                if halvings % 2 == 0:
-                    previous = None
                 continue
-            previous, previous_size = tried - displacement, size
-            displacement = tried
-            strain += size
-            dissipated += self._advance()
-            work += 0.5 * (rows[-1][reaction] + outcome.reaction) * size * extent
-            dissipated += outcome.dissipated
-            rows.append(
-                self._row(strain * extent, outcome.reaction, outcome.iterations, halvings, work,
-                          outcome.stored, dissipated)
-            )  # fmt: skip
-            log.info(
-                "strain %.5f %s %.5g, %d iterations", strain, reaction, outcome.reaction,
-                outcome.iterations,
-            )  # fmt: skip
-            peak = max(peak, outcome.reaction)
-            if progress is not None and self.comm.rank == 0:
-                progress(
-                    strain / s.maximum_strain,
-                    f"strain {strain:.4f}, {reaction} {outcome.reaction:.4g} {self.load.unit}",
-                )
-            if outcome.iterations <= _EASY and halvings == 0:
-                size = min(1.5 * size, s.maximum_increment)
-            elif outcome.iterations > _HARD:
-                size *= 0.7
-            halvings = failures = 0
-            self.solver.maximum_iterations = s.maximum_iterations
+            self._accept(march, outcome, tried)
+            self._report(march, progress)
             # the next prediction still holds: cells at the limit carried hardly anything
             removed = self._remove((self.state.old.damage >= self.limit).all(axis=1))
             for observer in observers:
-                observer(
-                    Increment(self, displacement, previous, previous_size, strain, size, peak,
-                              work, dissipated, rows)
-                )  # fmt: skip
+                observer(Increment(self, march))
             parted = removed and self._parted()
-            if not s.full_curve and outcome.reaction < (1.0 - s.peak_drop) * peak:
+            if not s.full_curve and outcome.reaction < (1.0 - s.peak_drop) * march.peak:
                 status = "past_peak"
                 break
         if parted:
-            status = "past_peak"
-            rows.append(self._row(strain * extent, 0.0, 0, 0, work, 0.0, dissipated))
-        result = self._result(rows, status, displacement)
+            status, march.halvings = "past_peak", 0
+            march.rows.append(self._row(march, Equilibrium(True, 0, 0.0, 0.0, 0.0)))
+        result = self._result(march, status)
         self.linear.destroy()
         return result
+
+    def _start(self) -> March:
+        """The solid before it is pulled."""
+        size = min(self.settings.first_increment, self.settings.maximum_strain)
+        march = March(np.zeros_like(self.discretisation.coordinates), size)
+        march.rows.append(self._row(march, Equilibrium(True, 0, 0.0, 0.0, 0.0)))
+        return march
+
+    def _accept(self, march: March, outcome: Equilibrium, tried: np.ndarray) -> None:
+        """Go on from an equilibrium: state, energies, history, size of the next increment."""
+        last = march.rows[-1][self.load.reaction]
+        march.work += 0.5 * (last + outcome.reaction) * march.size * self.load.extent
+        march.accept(tried)
+        march.dissipated += self._advance()
+        march.dissipated += outcome.dissipated
+        march.peak = max(march.peak, outcome.reaction)
+        march.rows.append(self._row(march, outcome))
+        march.choose_size(outcome.iterations, self.settings.maximum_increment)
+        self.solver.maximum_iterations = self.settings.maximum_iterations
+
+    def _report(self, march: March, progress: Progress | None) -> None:
+        row, reaction = march.rows[-1], self.load.reaction
+        log.info(
+            "strain %.5f %s %.5g, %d iterations", march.strain, reaction, row[reaction],
+            row["iterations"],
+        )  # fmt: skip
+        if progress is not None and self.comm.rank == 0:
+            progress(
+                march.strain / self.settings.maximum_strain,
+                f"strain {march.strain:.4f}, {reaction} {row[reaction]:.4g} {self.load.unit}",
+            )
+
+    def _retreat(self, march: March, outcome: Equilibrium, tried: np.ndarray) -> bool:
+        """After an increment without equilibrium: halve it; after several, let torn cells go.
+
+        tried: where Newton's iteration ended, or the last equilibrium without a prediction.
+        Returns True if the solid has parted.
+        """
+        strain = march.strain + march.size
+        log.info("strain %.5f: %s, halving the increment", strain, outcome.reason)
+        march.halve()
+        if march.failures < _FAILURES:
+            return False
+        # after as many failures again, what runs away on the way to no equilibrium is torn
+        at = march.displacement if march.failures < 2 * _FAILURES else tried
+        if self._remove(self._torn(at)):
+            march.undo_halvings()
+            self.solver.maximum_iterations = self.settings.maximum_iterations
+            return self._parted()
+        # what is left to settle is the last removal, which no smaller step makes less
+        self.solver.maximum_iterations = 2 * self.settings.maximum_iterations
+        return False
 
     def _advance(self) -> float:
         """Accept the tried state; returns the elastic energy that the growth of f sets free [J]."""
@@ -328,17 +330,18 @@ class _Test:
         damage = 1.0 - (1.0 - old.damage) * np.exp(-spread)
         new.damage[:] = np.clip(damage, 0.0, self.limit)
 
-    def _increment(self, displacement, strain, size, previous, previous_size):
-        """Predict and solve; returns (outcome or None, displacement)."""
-        amount, change = strain * self.load.extent, size * self.load.extent
-        if previous is not None:
-            guess = displacement + previous * (size / previous_size)
+    def _increment(self, march: March) -> tuple[Equilibrium, np.ndarray]:
+        """Predict and solve the next increment; returns the outcome and the displacement."""
+        change = march.size * self.load.extent
+        amount = (march.strain + march.size) * self.load.extent
+        if march.previous is not None:
+            guess = march.displacement + march.previous * (march.size / march.previous_size)
             outcome, tried = self.solver.solve(guess, amount)
             if outcome.converged or outcome.reason != INVERTED_PREDICTION:
                 return outcome, tried
-        outcome, tried = None, displacement
+        outcome, tried = Equilibrium(False, 0, 0.0, 0.0, 0.0, "no prediction"), march.displacement
         for stiff in (False, True):
-            guess = self.solver.predict(displacement, amount - change, change, stiff)
+            guess = self.solver.predict(march.displacement, amount - change, change, stiff)
             if guess is None:
                 break
             outcome, tried = self.solver.solve(guess, amount)
@@ -346,22 +349,22 @@ class _Test:
                 break
         return outcome, tried
 
-    def _row(self, motion, reaction, iterations, halvings, work, stored, dissipated):
-        damage = self.state.old.damage
+    def _row(self, march: March, outcome: Equilibrium) -> dict[str, float]:
+        """A point of the curve for the history."""
+        damage, strain = self.state.old.damage, self.state.old.strain
         largest = float(damage.max()) if damage.size else 0.0
-        strain = self.state.old.strain
         plastic = float(strain.max()) if strain.size else 0.0
         return {
-            self.load.motion: motion,
-            self.load.reaction: reaction,
-            "iterations": iterations,
-            "halvings": halvings,
-            "work": work,
-            "stored": stored,
-            "dissipated": dissipated,
+            self.load.motion: march.strain * self.load.extent,
+            self.load.reaction: outcome.reaction,
+            "iterations": outcome.iterations,
+            "halvings": march.halvings,
+            "work": march.work,
+            "stored": outcome.stored,
+            "dissipated": march.dissipated,
             "largest_damage": self.comm.allreduce(largest, MPI.MAX),
             "largest_plastic_strain": self.comm.allreduce(plastic, MPI.MAX),
-            "lost_cells": getattr(self, "lost_cells", 0),
+            "lost_cells": self.lost_cells,
             "seconds": time.perf_counter() - self.started,
         }
 
@@ -413,8 +416,8 @@ class _Test:
     def _parted(self) -> bool:
         return not bool(self.comm.allreduce(int(self.assembler.alive.any()), MPI.MAX))
 
-    def _result(self, rows, status, displacement) -> TensileResult:
-        history = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    def _result(self, march: March, status: str) -> TensileResult:
+        history = {name: np.array([row[name] for row in march.rows]) for name in march.rows[0]}
         motion, reaction = history[self.load.motion], history[self.load.reaction]
         statistics = self.linear.statistics
         cost = {
@@ -434,7 +437,7 @@ class _Test:
         return TensileResult(
             motion, reaction, self.load, self.held.length, peak, at, status,
             lost_cells=self.lost_cells, torn_cells=self.torn_cells, history=history, cost=cost,
-            displacement=self._gather_displacement(displacement), **self.summary["counts"],
+            displacement=self._gather_displacement(march.displacement), **self.summary["counts"],
         )  # fmt: skip
 
     def _gather_displacement(self, displacement: np.ndarray) -> np.ndarray | None:
