@@ -118,15 +118,7 @@ def _assemble_groups(
             continue
         mean_gradient[: 3 * nodes] = extra[: 3 * nodes] = local_force[: 3 * nodes] = 0.0
         if averaged and stiffness:
-            for c in range(start, stop):
-                if not alive[c]:
-                    continue
-                for q in range(nq):
-                    part = volumes[c, q] * jacobian[c - start, q] / (mean * volume)
-                    for a in range(nn):
-                        for i in range(3):
-                            at = 3 * place[c, a] + i
-                            mean_gradient[at] += part * spatial[c - start, q, 3 * a + i]
+            _average(start, stop, mean * volume, mesh, place, jacobian, spatial, mean_gradient)
         if stiffness and largest[0] > 1:
             local[: 3 * nodes, : 3 * nodes] = 0.0
         for c in range(start, stop):
@@ -168,11 +160,30 @@ def _assemble_groups(
                 if largest[0] > 1:
                     _place_block(place[c], block, local)
         if averaged and stiffness:
-            for row in range(3 * nodes):
-                for column in range(3 * nodes):
-                    local[row, column] += extra[row] * mean_gradient[column]
+            _add_product(extra[: 3 * nodes], mean_gradient[: 3 * nodes], local)
         _scatter(g, nodes, group_nodes[node_start[g] :], stiffness, local_force, local, target)
     return failed, stored, dissipated
+
+
+@kernel
+def _average(start, stop, volume, mesh, place, jacobian, spatial, mean_gradient):
+    """Add the spatial gradients of a group, averaged over its present volume."""
+    cells, _, alive, gradients, volumes, _ = mesh
+    for c in range(start, stop):
+        if not alive[c]:
+            continue
+        for q in range(gradients.shape[1]):
+            part = volumes[c, q] * jacobian[c - start, q] / volume
+            for a in range(cells.shape[1]):
+                for i in range(3):
+                    mean_gradient[3 * place[c, a] + i] += part * spatial[c - start, q, 3 * a + i]
+
+
+@kernel
+def _add_product(rows, columns, local):
+    for row in range(rows.size):
+        for column in range(columns.size):
+            local[row, column] += rows[row] * columns[column]
 
 
 @kernel

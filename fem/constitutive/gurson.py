@@ -221,9 +221,9 @@ def _start(volume, mises, jacobian, strain, damage, flow, slope, material, kind,
     t = tan(phi/2) by Newton within brackets, to the few digits that the linearisation is worth.
     flow, slope: S and its derivative by plastic strain at the start of the step.
     """
-    q1, q2, shear = material[Q1], material[Q2], material[SHEAR]
+    q2, shear = material[Q2], material[SHEAR]
     g, _ = effective_damage(damage, material)
-    radius = np.sqrt(1.0 - 2.0 * q1 * g + material[Q3] * g * g)
+    radius, reach, grow = _surface(g, material)
     # without pressure: radial return of the deviator, by two steps of Newton
     step = max(mises - radius * flow, 0.0) / (3.0 * shear + radius * slope)
     flow, slope = flow_stress(kind, hardening, strain + step)
@@ -231,32 +231,21 @@ def _start(volume, mises, jacobian, strain, damage, flow, slope, material, kind,
     if g <= 0.0:
         more = (mises - 3.0 * shear * step - radius * flow) / (3.0 * shear + radius * slope)
         return 0.0, min(1.0, max(flow + slope * more, 1e-3 * flow) * radius / mises)
-    reach = radius / np.sqrt(4.0 * q1 * g)
     size, soft = abs(volume), 1.5 * q2 * material[BULK]
-    grow = 0.5 * q1 * q2 * g / shear
     strength, lagged = flow, material[LAGGED] > 0.0
     low, high = 0.0, 1.0
     ratio = radius * strength / max(mises, 1e-9 * strength)
     if ratio > 1.0:  # beta <= 1
         low = np.sqrt((ratio - 1.0) / (ratio + 1.0))
-    t, beta, change = 0.5 * (low + high), 0.0, 0.0
+    t = 0.5 * (low + high)
     sine = _sinh(0.5 * soft * size / strength) / reach
     if sine < 0.7:  # no volume change
         t = max(low, sine / (1.0 + np.sqrt(1.0 - sine * sine)))
     for _ in range(_START_ITERATIONS):
-        over = 1.0 / (1.0 + t * t)
-        cosine, sine = (1.0 - t * t) * over, 2.0 * t * over
-        beta, half = ratio * cosine, reach * sine
-        root = np.sqrt(1.0 + half * half)
         per_h = strength / soft
-        change = size - 2.0 * per_h * np.log(half + root)
-        open_up = 2.0 * grow * strength * half * root
-        value = change * beta - (1.0 - beta) * open_up
-        # d(phi) = 2 over dt
-        d_beta, d_half = -2.0 * over * ratio * sine, 2.0 * over * reach * cosine
-        d_open = 2.0 * grow * strength * (1.0 + 2.0 * half * half) / root
-        gradient = (change + open_up) * d_beta
-        gradient -= (2.0 * per_h / root * beta + (1.0 - beta) * d_open) * d_half
+        value, gradient, beta, change = _flow_direction(
+            t, ratio, reach, size, per_h, 2.0 * grow * strength
+        )
         if value > 0.0:
             low = t
         else:
@@ -271,9 +260,7 @@ def _start(volume, mises, jacobian, strain, damage, flow, slope, material, kind,
         if not lagged:
             f = damage + (1.0 - damage) * (change if volume > 0.0 else -change)
             g, _ = effective_damage(min(max(f, 1e-3 * damage), material[LIMIT]), material)
-            radius = np.sqrt(1.0 - 2.0 * q1 * g + material[Q3] * g * g)
-            reach = radius / np.sqrt(4.0 * q1 * g)
-            grow = 0.5 * q1 * q2 * g / shear
+            radius, reach, grow = _surface(g, material)
         ratio = radius * strength / max(mises, 1e-9 * strength)
         if moved <= 1e-2 * t:
             break
@@ -285,6 +272,33 @@ def _start(volume, mises, jacobian, strain, damage, flow, slope, material, kind,
     if volume < 0.0:
         return -min(change, -0.5 * np.log1p(-damage)), beta
     return change, beta
+
+
+@kernel
+def _surface(g, material):
+    """r and r / r_h of `_start`, and what the strain of R1 is per S sinh h, all for f* = g."""
+    q1 = material[Q1]
+    radius = np.sqrt(1.0 - 2.0 * q1 * g + material[Q3] * g * g)
+    grow = 0.5 * q1 * material[Q2] * g / material[SHEAR]
+    return radius, radius / np.sqrt(4.0 * q1 * g), grow
+
+
+@kernel
+def _flow_direction(t, ratio, reach, size, per_h, drive):
+    """R1 of `_start` and its slope by t; beta and the plastic volume strain there."""
+    over = 1.0 / (1.0 + t * t)
+    cosine, sine = (1.0 - t * t) * over, 2.0 * t * over
+    beta, half = ratio * cosine, reach * sine
+    root = np.sqrt(1.0 + half * half)
+    change = size - 2.0 * per_h * np.log(half + root)
+    open_up = drive * half * root
+    value = change * beta - (1.0 - beta) * open_up
+    # d(phi) = 2 over dt
+    d_beta, d_half = -2.0 * over * ratio * sine, 2.0 * over * reach * cosine
+    d_open = drive * (1.0 + 2.0 * half * half) / root
+    gradient = (change + open_up) * d_beta
+    gradient -= (2.0 * per_h / root * beta + (1.0 - beta) * d_open) * d_half
+    return value, gradient, beta, change
 
 
 @kernel
