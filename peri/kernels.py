@@ -222,6 +222,25 @@ def diffusion_rows(u, y, weight, diagonal, diffusivity, low, high, reach):
 
 
 @_by_size(fastmath=_CONTRACT)
+def stage_residual(y, old, gain, weight, diagonal, diffusivity, tau, low, high, reach):
+    """gain = weight (old / tau - diagonal y + diffusivity gain);  (weight old)^2 per plane."""
+    ra, rb, rc = reach
+    partial = np.zeros(low.shape[0])
+    for i in prange(low.shape[0]):
+        squares = 0.0
+        for j in range(low.shape[1]):
+            lo, hi = low[i, j] + rc, high[i, j] + rc
+            yr, before = y[i + ra, j + rb, lo:hi], old[i + ra, j + rb, lo:hi]
+            wr, dr = weight[i + ra, j + rb, lo:hi], diagonal[i + ra, j + rb, lo:hi]
+            gr = gain[i + ra, j + rb, lo:hi]
+            for k in range(hi - lo):
+                gr[k] = wr[k] * (before[k] / tau - dr[k] * yr[k] + diffusivity * gr[k])
+                squares += (wr[k] * before[k]) ** 2
+        partial[i] = squares
+    return partial
+
+
+@_by_size(fastmath=_CONTRACT)
 def advance_solution(x, r, p, y, alpha, low, high, reach):
     """x += alpha p;  r -= alpha y;  returns r . r per plane."""
     ra, rb, rc = reach

@@ -12,6 +12,7 @@ the liquid alone.
 from __future__ import annotations
 
 import logging
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,9 +75,7 @@ class BiMaterial:
         self.scene = scene = processes.local_scene(scene)
         self.tolerance = solver_tolerance
         lattice, stencil = scene.lattice, scene.stencil
-        self.sum = NonlocalSum(
-            stencil, lattice.shape, wanted=scene.domain, processes=processes
-        )
+        self.sum = NonlocalSum(stencil, lattice.shape, scene.domain, processes=processes)
         fixed = scene.refreshed()
         self.fixed = self.sum.pad(fixed) > 0
         self._open = processes.any(fixed.any())
@@ -123,6 +122,11 @@ class BiMaterial:
         self.box = NonlocalSum(
             self.sum.stencil, shape, processes=self.processes, window=tuple(window)
         )
+        # Like `sum`, but on the rows of the box only.
+        rows = np.zeros(self.sum.shape, bool)
+        rows[tuple(window)] = True
+        rows = rows.reshape(self.sum.lattice_shape)
+        self.near = NonlocalSum(self.sum.stencil, rows.shape, rows, processes=self.processes)
 
     def take(self, values: np.ndarray) -> np.ndarray:
         """The box's part of a padded field, padded itself."""
@@ -141,13 +145,15 @@ class BiMaterial:
         liquid = self.domain & ~self.metal
         self.free = liquid & ~self.fixed
         self.liquid_volume = np.where(liquid, self.capacity, 0.0)
+        self.free_volume = np.where(self.free, self.capacity, 0.0)
         self.neighbour_liquid = self.sum(self.liquid_volume)
         self._system = self._rates = None
         if self.box is not None:
             self.box_metal = self.take(self.metal) > 0
             self.box_metal_volume = self.take(np.where(self.metal, self.capacity, 0.0))
             self.box_liquid_volume = self.take(self.liquid_volume)
-            self.box_free_volume = self.take(np.where(self.free, self.capacity, 0.0))
+            self.box_free_volume = self.take(self.free_volume)
+            self.box_neighbour_liquid = self.take(self.neighbour_liquid)
 
     def forget(self) -> None:
         """Drop the preconditioner of earlier stages."""
@@ -404,10 +410,8 @@ class BiMaterial:
 
     def _loss_of(self, box_metal_concentration: np.ndarray) -> float:
         values = np.maximum(box_metal_concentration[self.box_metal] - self.liquid_below, 0.0)
-        left = self.processes.total(
-            float((values * self.box_metal_volume[self.box_metal]).sum())
-        )
-        return min(1.0, max(0.0, 1.0 - left / self._loss_scale))
+        left = float((values * self.box_metal_volume[self.box_metal]).sum())
+        return min(1.0, max(0.0, 1.0 - self.processes.total(left) / self._loss_scale))
 
     def _liquid_only_stage(self, old, tau, guess) -> Stage:
         y = np.where(self.free, guess, 0.0)
@@ -421,53 +425,49 @@ class BiMaterial:
         next round changes the right side again.  Returns the iterations and whether the
         tolerance itself was reached.
         """
-        d = self.scene.liquid_diffusivity
-        held = np.zeros(self.sum.padded_shape, bool)
-        if active is not None and active.any():
-            held[self.window] = active[self.box.interior]
-        weight = np.where(self.free & ~held, self.capacity, 0.0)
-        system = self._linear_system(weight, tau, state, active)
-        gain = np.zeros(self.sum.padded_shape)
-        self.sum(self.liquid_volume * y, gain)
-        r = weight * ((old - y) / tau + d * (gain - self.neighbour_liquid * y))
-        scale = self._norm(weight * old) / tau
+        held = active is not None and self.processes.any(active.any())
+        system = self._linear_system(tau, state, active)
+        r = self.sum(self.liquid_volume * y)
+        squares = kernels.stage_residual(
+            y, old, r, system.weight, system.diagonal, self.scene.liquid_diffusivity, tau,
+            self.sum.low, self.sum.high, self.sum.reach,
+        )  # fmt: skip
+        scale = math.sqrt(self.processes.total(float(squares.sum()))) / tau
         if state is not None:
             source = state.liquid_gain(self.take(y))
             scale += self._norm(source)
-            source *= self.take(weight > 0)
+            source *= self.take(system.mask)
             r[self.window] += source[self.box.interior]
         wanted = self.tolerance * scale
-        enough = wanted
-        if active is not None and self.processes.any(active.any()):
-            enough = max(wanted, _ROUND_REDUCTION * self._norm(r))
+        enough = max(wanted, _ROUND_REDUCTION * self._norm(r)) if held else wanted
         return system.solve(y, r, enough), enough <= wanted
 
     def _norm(self, values: np.ndarray) -> float:
-        return float(np.sqrt(self.processes.total(kernels.inner_product(values, values).sum())))
+        return math.sqrt(self.processes.total(float(kernels.inner_product(values, values).sum())))
 
-    def _linear_system(self, weight, tau, state, held) -> DiffusionSystem:
-        d = self.scene.liquid_diffusivity
-        key = (tau, None if held is None else hash(held.tobytes()))
+    def _linear_system(self, tau, state, active) -> DiffusionSystem:
+        d, key = self.scene.liquid_diffusivity, (tau, None if active is None else active.tobytes())
         if self.processes.any(self._system is None or self._system_key != key):
+            weight = self.free_volume.copy()
+            if active is not None:
+                weight[self.window][active[self.box.interior]] = 0.0
             diagonal = 1.0 / tau + d * self.neighbour_liquid
             sink = weight * (diagonal - d * self.sum(weight))
             extra_diagonal = None
             if state is not None:
-                extra_diagonal = np.zeros(self.sum.padded_shape)
-                extra_diagonal[self.window] = state.diagonal()[self.box.interior]
-                extra_diagonal *= weight > 0
+                extra_diagonal = (weight > 0) * self.put(state.diagonal())
                 sink = sink + extra_diagonal * state.storage_share
             self._system = DiffusionSystem(
                 self.sum, weight, diagonal, d, sink, extra_diagonal=extra_diagonal
             )
             self._system_key = key
         coupled = state is not None and not self.faradaic
-        self._system.extra = self._coupling(state, weight) if coupled else None
+        self._system.extra = self._coupling(state) if coupled else None
         return self._system
 
-    def _coupling(self, state, weight):
+    def _coupling(self, state):
         """The metal's share of the liquid's matrix (it is eliminated), as an in-place update."""
-        unknown = self.take(weight)
+        unknown = self.take(self._system.weight)
 
         def add(u, y):
             box_u = np.where(unknown > 0, self.take(u), 0.0)
@@ -481,11 +481,11 @@ class BiMaterial:
 
     def _interface_balance(self, y, old, tau, state, metal, active):
         """Inflow that each active node needs to stay at C_sat, and what theta = 1 would bring."""
-        d, saturated = self.scene.liquid_diffusivity, self.scene.saturation_concentration
-        available = state.offered(metal, saturated)
-        gain = self.sum(self.liquid_volume * y)
-        needed = self.capacity * ((y - old) / tau - d * (gain - self.neighbour_liquid * y))
-        return np.where(active, self.take(needed), 0.0), np.maximum(available, 0.0)
+        d = self.scene.liquid_diffusivity
+        available = state.offered(metal, self.scene.saturation_concentration)
+        gain, here = self.take(self.near(self.liquid_volume * y)), self.take(y)
+        needed = (here - self.take(old)) / tau - d * (gain - self.box_neighbour_liquid * here)
+        return np.where(active, self.box_free_volume * needed, 0.0), np.maximum(available, 0.0)
 
     def _release_rate(self, y, state, metal) -> float:
         """Amount that reaches the refreshed nodes per second, mol/s."""
