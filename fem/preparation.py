@@ -6,13 +6,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from mpi4py import MPI
 
+from fem import compat
 from fem.constitutive.gurson import LIMIT, Q1
 from fem.constitutive.laws import Laws, checked_materials
 from fem.constitutive.material import Material
+from fem.discretisation import Discretisation, build
 from fem.loading import Load, make_load
-from fem.patches import sound_patches
-from fem.quadrature import Element
+from fem.patches import make_patches, sound_patches
+from fem.quadrature import Element, find_element
 from fem.settings import TensileSettings
 from fem.solid import Held, Remains, destinations, guide_vertices, remains
 
@@ -112,3 +115,17 @@ def prepare(
         plan = destinations(points, cells[kept], groups, ranks)
     damage = np.minimum(damage, limit)
     return Prepared(points, cells, damage, held, load, left, guides, plan, kept, groups, laws)
+
+
+def whole_mesh(
+    points: np.ndarray, cells: np.ndarray, element: str, threads: int = 1
+) -> Discretisation:
+    """All cells of a mesh on this rank alone, sound and of one material: for tests and benchmarks.
+
+    points (n, 3) [m]; cells (nc, 4).
+    """
+    kind = find_element(element)
+    groups = make_patches(cells, len(points)) if kind.patches else np.arange(len(cells))
+    plan = destinations(points, cells, groups, 1)
+    local = compat.distribute(MPI.COMM_SELF, points, cells, plan, kind.order)
+    return build(local, kind, groups[local.original_cells], threads)

@@ -40,8 +40,8 @@ _SETUP_WORTH = {"ldlt": 45, "lu": 45, "gamg": 55, "pmg": 6}
 _SHARPER = {"gamg": 0.1}
 _SHARPEST = 1e-10
 _MAXIMUM_ITERATIONS = {"ldlt": 40, "lu": 40, "gamg": 300}
-# pmg gives up, between 60 and 300 iterations, where a factorisation costs as much: that was 31
-# iterations with 22,719 unknowns, where it is cheap to be generous, and 130 with 104,064
+# pmg gives up, between 60 and 300 iterations, where a factorisation costs about as much; with few
+# unknowns it is cheap to be generous
 _UNKNOWNS_PER_ITERATION = 750
 
 
@@ -299,9 +299,9 @@ def _set_up_aggregation(pc: PETSc.PC) -> None:
     """Smoothed aggregation with PETSc's smoother, two steps of Chebyshev's iteration over Jacobi's.
 
     Weak couplings are kept (threshold 0): to drop them below 0.01 made the coarse levels larger,
-    and both set-up and solution dearer, on a screw of 87,897 unknowns corroded for 8 weeks. There
-    other numbers of steps cost as much in all; an interpolation without smoothing needed twice the
-    iterations; Gauss-Seidel breaks down where a coarse row is zero.
+    and both set-up and solution dearer, on a screw corroded for 8 weeks. There other numbers of
+    steps cost as much in all; an interpolation without smoothing needed twice the iterations;
+    Gauss-Seidel breaks down where a coarse row is zero.
     """
     pc.setType(PETSc.PC.Type.GAMG)
     _set_options(pc, "fem_gamg_", pc_gamg_threshold=0.0, pc_gamg_coarse_eq_limit=1000)
@@ -310,9 +310,8 @@ def _set_up_aggregation(pc: PETSc.PC) -> None:
 def _set_up_two_levels(pc: PETSc.PC, interpolation: PETSc.Mat, coarse_matrix: PETSc.Mat) -> None:
     """The coarse matrix is Galerkin's, factorised while it is small.
 
-    Of the smoothers tried on a screw of 104,064 unknowns, corroded for 8 weeks, one forward sweep
-    was the cheapest (solution 9.1 s; forward and backward 13.1, two of them 22, Chebyshev 26 and
-    more).
+    Of the smoothers tried on a screw corroded for 8 weeks one forward sweep was the cheapest: a
+    backward one after it, two of both or Chebyshev's iteration save too few iterations.
     """
     pc.setType(PETSc.PC.Type.MG)
     pc.setMGLevels(2)

@@ -53,16 +53,10 @@ def _assembler(element: str, side: int):
     """A cube of edge 1 m, `side` bricks along each, in six tetrahedra each."""
     from itertools import permutations
 
-    from mpi4py import MPI
-
-    from fem import compat
     from fem.assembly import Assembler
     from fem.constitutive import Material, fit_voce
     from fem.constitutive.laws import Laws
-    from fem.discretisation import build
-    from fem.patches import make_patches
-    from fem.quadrature import find_element
-    from fem.solid import destinations
+    from fem.preparation import whole_mesh
 
     number = np.arange((side + 1) ** 3).reshape(3 * (side + 1,))
     points = np.argwhere(number >= 0) / side
@@ -74,10 +68,6 @@ def _assembler(element: str, side: int):
         corners = [number[tuple(slice(k, k + side) for k in corner)] for corner in walk]
         cells.append(np.stack(corners, axis=-1).reshape(-1, 4))
     cells = np.concatenate(cells)
-    kind = find_element(element)
-    groups = make_patches(cells, len(points)) if kind.patches else np.arange(len(cells))
-    plan = destinations(points, cells, groups, 1)
-    local = compat.distribute(MPI.COMM_SELF, points, cells, plan, kind.order)
-    discretisation = build(local, kind, groups[local.original_cells], 1)
     material = Material(43e9, 0.3, fit_voce(130e6, 220e6, 0.19))
+    discretisation = whole_mesh(points, cells, element)
     return Assembler(discretisation, Laws.of([material], np.zeros(len(cells), int)), 1)

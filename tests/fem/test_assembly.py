@@ -5,17 +5,11 @@ import pytest
 
 pytest.importorskip("dolfinx")
 
-from mpi4py import MPI
-
-from fem import compat
 from fem.assembly import Assembler, multiply
 from fem.constitutive import Material, VoceHardening
 from fem.constitutive.laws import Laws
-from fem.discretisation import build
-from fem.patches import make_patches
-from fem.quadrature import find_element
+from fem.preparation import whole_mesh
 from fem.quadrature_state import QuadratureState
-from fem.solid import destinations
 from tests.fem.meshes import distorted_box
 
 MAGNESIUM = Material(43e9, 0.3, VoceHardening(130e6, 156e6, 10.6))
@@ -25,13 +19,9 @@ ELEMENTS = ["P1", "P1-Fbar", "P2", "P2-Fbar"]
 def assembler_of(element, damage, threads=1, shape=(2, 2, 3)):
     """Assembler and state of a distorted box with f = damage everywhere."""
     points, cells = distorted_box(shape)
-    kind = find_element(element)
-    groups = make_patches(cells, len(points)) if kind.patches else np.arange(len(cells))
-    plan = destinations(points, cells, groups, 1)
-    local = compat.distribute(MPI.COMM_SELF, points, cells, plan, kind.order)
-    discretisation = build(local, kind, groups[local.original_cells], threads)
-    state = QuadratureState(np.full((len(cells), kind.points), damage))
-    laws = Laws.of([MAGNESIUM], np.zeros(len(local.original_cells)))
+    discretisation = whole_mesh(points, cells, element, threads)
+    state = QuadratureState(np.full(discretisation.volumes.shape, damage))
+    laws = Laws.of([MAGNESIUM], np.zeros(len(cells)))
     return Assembler(discretisation, laws, threads), state
 
 

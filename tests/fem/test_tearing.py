@@ -7,16 +7,11 @@ import pytest
 
 pytest.importorskip("dolfinx")
 
-from mpi4py import MPI
-
-from fem import compat
 from fem import tensile_test as module
 from fem.constitutive import Material, VoceHardening
 from fem.constitutive.laws import Laws
-from fem.discretisation import build
-from fem.quadrature import find_element
+from fem.preparation import whole_mesh
 from fem.results import Checkpoint
-from fem.solid import destinations
 from fem.tearing import STRENGTH_LEFT, STRETCH, STRETCH_ANY, torn_cells
 from fem.tensile_test import TensileSettings, tensile_test
 from tests.fem.meshes import distorted_box, round_bar
@@ -27,11 +22,8 @@ MAGNESIUM = Material(43e9, 0.3, VoceHardening(130e6, 156e6, 10.6))
 def test_cells_drawn_out_are_torn_the_weak_ones_earlier():
     """A box drawn out uniformly, turned by a right angle, f rising from cell to cell."""
     points, cells = distorted_box()
-    element, groups = find_element("P2"), np.arange(len(cells))
-    plan = destinations(points, cells, groups, 1)
-    local = compat.distribute(MPI.COMM_SELF, points, cells, plan, element.order)
-    discretisation = build(local, element, groups[local.original_cells], 1)
-    damage = np.linspace(0.5, 0.66, len(cells))[:, None] * np.ones(element.points)
+    discretisation = whole_mesh(points, cells, "P2")
+    damage = np.linspace(0.5, 0.66, len(cells))[:, None] * np.ones(discretisation.element.points)
     laws = Laws.of([MAGNESIUM], np.zeros(len(cells)))
     weak = 1.0 - 1.5 * damage[:, 0] <= STRENGTH_LEFT
     assert 0.1 < weak.mean() < 0.3
@@ -43,7 +35,7 @@ def test_cells_drawn_out_are_torn_the_weak_ones_earlier():
         (1.001 * STRETCH_ANY, 0 * weak + 1),
     ):
         draw = np.diag([0.7, 0.7, stretch])
-        displacement = local.coordinates @ (turn @ draw).T - local.coordinates
+        displacement = discretisation.coordinates @ (turn @ draw).T - discretisation.coordinates
         torn = torn_cells(discretisation, displacement, damage, laws)
         np.testing.assert_array_equal(torn, expected.astype(bool))
 
@@ -51,12 +43,9 @@ def test_cells_drawn_out_are_torn_the_weak_ones_earlier():
 def test_coalescence_makes_a_cell_weak_earlier():
     """Failure at f = 0.317: 5 % of the strength are left at f = 0.309, not at 0.633."""
     points, cells = distorted_box()
-    element, groups = find_element("P2"), np.arange(len(cells))
-    plan = destinations(points, cells, groups, 1)
-    local = compat.distribute(MPI.COMM_SELF, points, cells, plan, element.order)
-    discretisation = build(local, element, groups[local.original_cells], 1)
-    displacement = 1.5 * STRETCH * local.coordinates
-    damage = np.full((len(cells), element.points), 0.315)
+    discretisation = whole_mesh(points, cells, "P2")
+    displacement = 1.5 * STRETCH * discretisation.coordinates
+    damage = np.full(discretisation.volumes.shape, 0.315)
     for material, torn in (
         (MAGNESIUM, False),
         (replace(MAGNESIUM, coalescence=0.2, failure=0.317), True),

@@ -331,3 +331,18 @@ def test_what_the_loss_of_stiffness_does_to_the_peak(largest):
     assert soft.elongation_at_peak > 1.01 * full.elongation_at_peak
     # measured -0.15 % (f up to 0.3) and -0.22 % (0.45); -0.15 and -0.13 % with six times the cells
     assert 0.997 < soft.peak_force / full.peak_force < 0.9995
+
+
+def test_cells_lost_on_the_way_cost_no_iterations():
+    """The increment after a removal is predicted from the last one, not by the elastic tangent."""
+    points, cells = round_bar(3, 6, 1e-3, 4e-3, waist=0.3)
+    soft = np.random.default_rng(3).random(len(cells)) < 0.15
+    f0 = np.zeros(len(cells))
+    f0[soft] = np.linspace(0.62, 0.652, soft.sum())
+    settings = TensileSettings(maximum_strain=0.08, full_curve=True)
+    result = tensile_test(points, cells, f0, MAGNESIUM, settings)
+    assert result.status == "completed" and result.torn_cells == 0
+    after = np.flatnonzero(np.diff(result.history["lost_cells"]) > 0) + 1
+    assert len(after) >= 7 and result.history["halvings"].sum() == 0
+    # measured 2 to 4; 6 to 11 by the tangent
+    assert result.history["iterations"][after].max() <= 5
