@@ -72,7 +72,7 @@ def reference_screw():
 
 @functools.cache
 def quick_mesh():
-    """The mesh of the quick preset."""
+    """A coarse mesh of the reference screw."""
     from pipeline.geometry import tetrahedral_mesh
 
     return tetrahedral_mesh(reference_screw(), 0.3e-3, 0.2e-3)
@@ -80,7 +80,7 @@ def quick_mesh():
 
 @functools.cache
 def standard_mesh():
-    """The mesh of the standard preset."""
+    """A fine mesh of the reference screw."""
     from pipeline.geometry import tetrahedral_mesh
 
     return tetrahedral_mesh(reference_screw(), 0.12e-3, 0.07e-3)
