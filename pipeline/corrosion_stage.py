@@ -76,9 +76,14 @@ def liquid_domain(scene: Scene, surface_points: NDArray[np.float64]) -> LiquidDo
 def domain_lattice(scene: Scene, domain: LiquidDomain) -> tuple[Lattice, NDArray[np.bool_]]:
     """The lattice that covers the region, and which of its nodes lie in it."""
     lattice = box_lattice(domain.lower, domain.upper, scene.lattice.spacing)
+    return lattice, in_domain(lattice, domain)
+
+
+def in_domain(lattice: Lattice, domain: LiquidDomain) -> NDArray[np.bool_]:
+    """Which nodes of a lattice lie in the region."""
     if domain.shape == "ball":
-        return lattice, ball(lattice, domain.centre, domain.radius)
-    return lattice, cylinder(lattice, domain.centre, domain.radius, domain.height)
+        return ball(lattice, domain.centre, domain.radius)
+    return cylinder(lattice, domain.centre, domain.radius, domain.height)
 
 
 def dissolution_flux(parameters: CorrosionParameters, kernel_exponent: float) -> float:

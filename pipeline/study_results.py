@@ -29,8 +29,8 @@ PRESET_ERRORS = {"quick": 0.10, "standard": 0.03, "fine": 0.01}
 TIME_SHARE = 0.1
 """Share of the wanted error that the time steps of a preset may use."""
 
-COLOURS = ("#4477aa", "#ee6677", "#228833")
-MARKERS = ("o", "s", "^")
+COLOURS = ("#4477aa", "#ee6677", "#228833", "#aa3377")
+MARKERS = ("o", "s", "^", "D")
 
 
 def observed_orders(rows: Iterable[Row]) -> list[tuple[str, str, float, float]]:
@@ -204,14 +204,11 @@ def summary_lines(study: Study) -> list[str]:
             f"smallest error {100 * least:.2g} %"
         )
     for alloy, wanted, row in cheapest(study.rows):
-        text = "no measured setting"
-        if row is not None:
-            control = "" if row.liquid == "left out" else f", {row.scheme}, "
-            control += f"{row.step / 3600:.0f} h" if row.step else f"{row.rate_change or ''}"
-            text = (
-                f"spacing δ/{row.horizon_ratio}, liquid {row.liquid}{control}: "
-                f"{format_seconds(row.processor_seconds)} (error {100 * row.error:.2g} %)"
-            )
+        if row is None:
+            best = min((r for r in study.rows if r.alloy == alloy), key=lambda r: r.error)
+            text = f"not reached; best: {_in_words(best)}"
+        else:
+            text = _in_words(row)
         lines.append(f"{alloy}, cheapest within {100 * wanted:g} %: {text}")
     if any(r.curve == LATTICE_CURVES[2] for r in study.rows):
         lines.append(f"order of the lattice error from δ/4 on: {fine_order(study.rows):.2f}")
@@ -232,6 +229,21 @@ def summary_lines(study: Study) -> list[str]:
             f"{format_seconds(steps * cost)} of processor time for 56 days; not run"
         )
     return lines
+
+
+def _in_words(row: Row) -> str:
+    """A setting, its cost and its error."""
+    control = ""
+    if row.liquid != "left out":
+        control = f", {row.scheme}, "
+        control += f"{row.step / 3600:.0f} h" if row.step else f"{row.rate_change or ''}"
+    spacing = f"δ/{row.horizon_ratio}"
+    if row.curve == LATTICE_CURVES[3]:
+        spacing = f"{row.choice} extrapolated"
+    return (
+        f"spacing {spacing}, liquid {row.liquid}{control}: "
+        f"{format_seconds(row.processor_seconds)} (error {100 * row.error:.2g} %)"
+    )
 
 
 def write_study(study: Study, folder: Path, command: str) -> list[Path]:
@@ -316,7 +328,7 @@ def draw(rows: Sequence[Row], path: Path) -> None:
 
 
 def _curves(axes, rows, names, error_of) -> None:
-    for name, colour, marker in zip(names, COLOURS, MARKERS, strict=True):
+    for name, colour, marker in zip(names, COLOURS, MARKERS, strict=False):
         chosen = [r for r in rows if r.curve == name]
         if not chosen:
             continue

@@ -12,7 +12,14 @@ from scipy.integrate import quad, quad_vec
 from peri.corrosion.kinetics import ConstantRate
 from pipeline import study_boundaries, study_rates, study_results
 from pipeline.resolution import RESOLUTIONS, read_presets
-from pipeline.study_corrosion import LATTICE_CURVES, RATE_CHANGES, STEP_CURVES, Row, Study
+from pipeline.study_corrosion import (
+    LATTICE_CURVES,
+    RATE_CHANGES,
+    STEP_CURVES,
+    Row,
+    Study,
+    _Cases,
+)
 from pipeline.study_reference import continuum_volume_loss
 from tests.pipeline.solids import icosphere
 
@@ -93,6 +100,33 @@ def test_the_cheapest_run_within_an_error_is_found_or_said_to_be_missing():
     )  # of 1.6, 2.5 ...
     assert found[0.03].horizon_ratio == 6  # 0.001 + 0.02
     assert found[0.01] is None and found[0.003] is None
+
+
+def test_the_summary_names_the_cheapest_setting_of_each_error_or_the_best_one():
+    pair = row(
+        LATTICE_CURVES[3], 12, seconds=9.0, lattice_error=0.008, liquid="left out",
+        choice="δ/6, δ/12",
+    )  # fmt: skip
+    for rows, last in (
+        (rows_of_order_one(), "1 %: not reached; best: spacing δ/6, liquid computed, sdirk2, 0.1"),
+        ([*rows_of_order_one(), pair], "1 %: spacing δ/6, δ/12 extrapolated, liquid left out: 9.0"),
+    ):
+        lines = study_results.summary_lines(Study(tuple(rows), 2e-4, {}, (), (), ()))
+        assert any(line.startswith(f"Mg, cheapest within {last}") for line in lines), lines
+    assert any(line.startswith("Mg, cheapest within 0.3 %: not reached; best:") for line in lines)
+    assert "(error 0.8 %)" in next(line for line in lines if "0.3 %" in line)
+
+
+def test_a_moved_lattice_holds_the_same_scene():
+    cases = _Cases("Mg-10Gd")
+    scene, (one, other) = cases.scene(2), (cases.moved(2, np.full(3, s)) for s in (0.2, 0.7))
+    metal = [(s.capacity() * s.metal).sum() for s in (scene, one, other)]
+    # measured 1.1e-4
+    assert metal == pytest.approx([metal[0]] * 3, rel=5e-4)
+    counts = [s.domain.sum() for s in (scene, one, other)]
+    # measured 0.1 and 0.6 %
+    assert counts == pytest.approx([counts[0]] * 3, rel=0.02)
+    assert not np.allclose(one.lattice.origin, other.lattice.origin, atol=1e-5)
 
 
 def test_presets_follow_from_the_rows_and_can_be_read_back(tmp_path):
