@@ -145,17 +145,29 @@ def test_softer_than_its_strength(element, poisson):
     assert 0.5 < result.peak_force / (1e6 * 0.02 * np.pi * 1e-6) < 1.0
 
 
-@pytest.mark.parametrize(
-    "element", ["P1", *(pytest.param(name, marks=pytest.mark.slow) for name in ELEMENTS[1:])]
-)
-@pytest.mark.parametrize("poisson", [0.0, 0.3, 0.4999])
+@pytest.mark.parametrize("element", ELEMENTS)
+@pytest.mark.parametrize("poisson", [0.0, 0.3])
 def test_all_but_rigid(element, poisson):
-    """E = 1e6 GPa, yield strain 1e-7; where round-off of K = 1e18 Pa drowns it, it says so."""
+    """E = 1e6 GPa, yield strain 1e-7: the first increment is a hundred times that at least.
+
+    P2 gets through it because Newton goes on for longer where smaller steps do not help: measured
+    up to 23 iterations, after 5 to 8 halvings.
+    """
     result = pull(*BAR, 0.1, Material(1e15, poisson, LAW), element, maximum_strain=0.004)
-    if poisson == 0.4999 and result.status.startswith("stopped: "):
-        return
     assert result.status == "completed"
     assert 150 < result.peak_force < 400  # measured 230 to 262 N
+
+
+@pytest.mark.parametrize("element", ["P1", "P1-Fbar", pytest.param("P2", marks=pytest.mark.slow)])
+def test_all_but_rigid_and_incompressible(element):
+    """As `test_all_but_rigid`; with P2 the round-off of K = 2e18 Pa drowns it, and it says so."""
+    result = pull(*BAR, 0.1, Material(1e15, 0.4999, LAW), element, maximum_strain=0.004)
+    if element == "P2":
+        assert result.status.startswith("stopped: no convergence")
+        assert result.peak_force == 0.0
+    else:
+        assert result.status == "completed"
+        assert 150 < result.peak_force < 400  # measured 262 N
 
 
 @pytest.mark.parametrize("element", ELEMENTS)
