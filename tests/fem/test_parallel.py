@@ -33,7 +33,7 @@ def check(tmp_path, cases, load="axial", materials="one"):
         other = run(ranks, tmp_path, solver, load, materials)
         np.testing.assert_array_equal(other["motion"], one["motion"])
         # Newton tolerance 1e-8 of the reaction: measured 3e-14 (2 ranks), 7e-14 (4 ranks), 3e-11
-        # (pmg) and 7e-9 (gamg), whose solutions are as accurate as Newton asks; turned: 4e-14
+        # (pmg) and 1e-8 (gamg), whose solutions are as accurate as Newton asks; turned: 4e-14
         # (2 ranks) and 1e-9 (gamg); two materials: 2e-13
         np.testing.assert_allclose(other["reaction"][1:], one["reaction"][1:], rtol=1e-6)
 
