@@ -296,8 +296,13 @@ class Setting:
 
     @property
     def error(self) -> float:
-        """Mesh and increment together."""
+        """Of the strength ratio, mesh and increment together."""
         return self.mesh_error + self.increment_error
+
+    @property
+    def larger_error(self) -> float:
+        """The larger one of strength ratio and peak force, with that of the increment."""
+        return max(self.mesh_error, self.force_error) + self.increment_error
 
 
 def settled_times(study: Study) -> list[str]:
@@ -352,12 +357,13 @@ def settings(study: Study) -> list[Setting]:
 
 
 def cheapest(found: Sequence[Setting], wanted: float, most: float = np.inf) -> tuple[Setting, bool]:
-    """The cheapest setting within an error, and whether there is one.
+    """The cheapest setting within an error of strength ratio and peak force; whether there is one.
 
     most: processor seconds that one test may take.  Where none is within the error: the one with
     the smallest error, or the cheapest within a tenth of it.
     """
     allowed = [s for s in found if s.seconds <= most] or list(found)
-    least = min(s.error for s in allowed)
+    least = min(s.larger_error for s in allowed)
     limit = wanted if least <= wanted else 1.1 * least
-    return min((s for s in allowed if s.error <= limit), key=lambda s: s.seconds), least <= wanted
+    good = [s for s in allowed if s.larger_error <= limit]
+    return min(good, key=lambda s: s.seconds), least <= wanted
