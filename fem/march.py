@@ -44,7 +44,7 @@ class March:
         self.halvings = self.failures = 0
 
     def halve(self) -> None:
-        """Try the increment anew with half its size, every other time without `previous`."""
+        """Try the increment anew with half its size, from the second time on without `previous`."""
         self.size *= 0.5
         self.halvings, self.failures = self.halvings + 1, self.failures + 1
         if self.halvings % 2 == 0:

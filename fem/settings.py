@@ -21,8 +21,9 @@ class TensileSettings:
     load: how the top grip moves: "axial" (the tensile test), "torsion" (it turns about z) or
     "bending" (it turns about the lateral axis at the angle `bending_azimuth` [rad] from x; of two
     directions the weaker one counts in a slotted or unevenly corroded solid). For these two, strain
-    is the nominal one of the surface, angle times radius over length (`fem.loading`), both grips
-    hold their nodes fully whatever `grips.lateral` says, and the peak is that of torque or moment.
+    is the nominal one of the surface, angle times radius over that length (`fem.loading`), both
+    grips hold their nodes fully whatever `grips.lateral` says, and the peak is that of torque or
+    moment.
 
     element: "P1", "P1-Fbar", "P2" or "P2-Fbar". The test ends at `maximum_strain`, or, unless
     `full_curve`, once the force has fallen by the fraction `peak_drop` below its peak. `tolerance`
@@ -34,8 +35,8 @@ class TensileSettings:
 
     damage: how f grows: "cell" (one f per cell, updated between increments), "point" (one per
     quadrature point, likewise) or "implicit" (per point and within the increment, as published;
-    heavily corroded solids hardly ever get to their peak with it). damage_length [m]: the growth of
-    f is averaged over it (`fem.damage_length`; only with "cell"); 0 does not average.
+    where corroded metal tears, tests hardly ever get to their peak with it). damage_length [m]: the
+    growth of f is averaged over it (`fem.damage_length`; only with "cell"); 0 does not average.
     """
 
     element: str = "P2"

@@ -57,7 +57,7 @@ class TensileResult:
     motion: np.ndarray  # [m or rad]
     reaction: np.ndarray  # [N or N m]
     load: Load
-    length: float  # of the solid [m]
+    length: float  # between the grips [m]
     peak_reaction: float  # [N or N m]
     motion_at_peak: float  # [m or rad]
     status: str
@@ -318,15 +318,20 @@ class _Test:
         mine = d.owned & self.assembler.alive
         growth = np.log((1.0 - old.damage[mine, 0]) / (1.0 - new.damage[mine, 0]))
         parts = self.comm.gather((d.original_cells[mine], growth, old.damage[mine, 0] > 0.0))
-        total = np.zeros(len(self.prepared.kept) if self.comm.rank == 0 else 0)
-
-        def averaged() -> np.ndarray:
+        averaged, error = None, None
+        if self.comm.rank == 0:
+            total = np.zeros(len(self.prepared.kept))
             porous = np.zeros(len(total), bool)
             for cells, values, active in parts:
                 total[cells], porous[cells] = values, active
-            return self.average.average(total, porous)
-
-        spread = self._scatter(d.original_cells, averaged)[:, None]
+            try:
+                averaged = self.average.average(total, porous)
+            except RuntimeError as failure:
+                error = str(failure)
+        error = self.comm.bcast(error)
+        if error is not None:
+            raise RuntimeError(error)
+        spread = self._scatter(d.original_cells, lambda: averaged)[:, None]
         damage = 1.0 - (1.0 - old.damage) * np.exp(-spread)
         new.damage[:] = np.clip(damage, 0.0, self.limit)
 
@@ -335,7 +340,9 @@ class _Test:
         change = march.size * self.load.extent
         amount = (march.strain + march.size) * self.load.extent
         if march.previous is not None:
-            guess = march.displacement + march.previous * (march.size / march.previous_size)
+            # what no living cell holds stays where it is
+            growth = np.where(self.fixed, 0.0, march.previous)
+            guess = march.displacement + growth * (march.size / march.previous_size)
             outcome, tried = self.solver.solve(guess, amount)
             if outcome.converged or outcome.reason != INVERTED_PREDICTION:
                 return outcome, tried

@@ -62,7 +62,8 @@ def _turn(test: str, reaction: str, deed: str, done: str) -> LoadNames:
         shown_factor=1e3,
         strain="strain",
         strain_title="Nominal strain",
-        strain_remark="Nominal strain is that of the surface, angle times radius over length.",
+        strain_remark="Nominal strain is that of the surface, angle times radius over the length "
+        "between the grips.",
         abscissa="angle",
         abscissa_factor=math.degrees(1.0),
         abscissa_title="Angle (°)",

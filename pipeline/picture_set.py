@@ -61,19 +61,20 @@ def make_pictures(run: RunResults) -> PictureSet:
     while len(cells) < ENOUGH_CELLS:
         points, cells = refine_tetrahedra(points, cells)
     factor = run.scene.alloys[0].material.q1
-    requests, paths = [], {}
+    states, paths = [], {}
     for alloy in run.alloys:
         for item in times_shown(alloy):
             damage = _damage(run, alloy.name, item, points, len(cells))
             if damage is None:
                 continue
+            states.append([])
             for cut in VIEWS:
                 path = folder / f"{alloy.name}_{item.label}_{cut}.png"
-                requests.append(PictureRequest(damage, path, cut))
+                states[-1].append(PictureRequest(damage, path, cut))
                 paths[alloy.name, item.label, cut] = path
-    workers = processor_cores()
+    workers = min(processor_cores(), max(len(states), 1))
     with ThreadPoolExecutor(workers) as pool:  # each waits for a process of its own
-        shares = [requests[first::workers] for first in range(workers)]
+        shares = [sum(states[first::workers], []) for first in range(workers)]
         troubles = pool.map(
             lambda share: render_pictures(points, cells, share, maximum_damage=1.0 / factor), shares
         )

@@ -43,26 +43,16 @@ class CorrosionError:
 class TensileError:
     """Error of the strength left of a preset, relative, as measured on the reference screw.
 
-    error: largest over alloys and the immersion times at which the study's reference has settled,
-    mesh and increment together; increment: of the increment; after: of the mesh after each
-    immersion time as typed, rising; alloys: those measured; processor_seconds: of the longest test;
-    command: what measured it.
+    error: largest over alloys and immersion times, mesh and increment together; alloys: those
+    measured; latest: the last immersion time measured, as typed; processor_seconds: of the longest
+    test; command: what measured it.
     """
 
     error: float
-    increment: float
-    after: dict[str, float]
     alloys: tuple[str, ...]
+    latest: str
     processor_seconds: float
     command: str
-
-    def of_times(self) -> list[tuple[str, float]]:
-        """(immersion time, largest error up to it): mesh and increment together."""
-        found, most = [], 0.0
-        for label, error in self.after.items():
-            most = max(most, error)
-            found.append((label, most + self.increment))
-        return found
 
 
 @dataclass(frozen=True)
@@ -130,9 +120,8 @@ def _tensile(table: dict, name: str) -> dict:
     numbers = {key: entry[key] for key in ("mesh_size", "mesh_size_fine", "element", "increment")}
     error = TensileError(
         entry["error"],
-        entry["increment_error"],
-        dict(entry["mesh_error_after"]),
         tuple(table["alloys"]),
+        table["immersion"][-1],
         entry["processor_seconds"],
         table["command"],
     )

@@ -97,9 +97,8 @@ def grip_length(geometry: ScrewGeometry | SolidFile, horizon: float) -> float:
     """Length of either end that the grips hold unless the scene says otherwise (m).
 
     The depth of the slot and, below it, a horizon: as deep as an end corrodes while its outermost
-    metal is still there.  Grips on the end faces pull off that crust instead of testing the shank:
-    the force after 24 weeks is then a fifth of the shank's, and no mesh is fine enough for it.
-    Deeper grips change the strength left by 1 % at most (`perilife study tensile`).
+    metal is still there; both ends alike, so that the middle is tested.  Grips on the end faces
+    pull off that crust instead (`pipeline/README.md`).
     """
     screw = isinstance(geometry, ScrewGeometry)
     return (geometry.parameters.slot_depth if screw else 0.0) + horizon

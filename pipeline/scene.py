@@ -263,7 +263,7 @@ class TensileScene:
     load: the top grip is pulled ("axial"), turned about the axis ("torsion") or about a lateral
     axis ("bending") at the angle bending_azimuth (rad) from x, None where nothing is bent; nominal
     strain is then that of the surface, angle times radius over length, and the grips hold fully.
-    Lengths are those between the grips.
+    The length of a strain is that between the grips.
     bottom_grip, top_grip: held lengths at the ends (m), 0 holds the end faces only; lateral:
     whether grips leave lateral motion free; peak_drop: the test ends when the force (torque,
     moment) has fallen by this fraction below its peak, or at the final strain; 1 asks for the

@@ -48,17 +48,16 @@ class Pull:
     tolerance: float = 1e-5
     damage: str = "cell"
     damage_length: float = 0.0
-    peak_drop: float = 0.05
     field: str = ""
     samples: int | None = 1
     grip: float | None = None
 
     def setting(self) -> tuple:
-        """Everything but what is pulled and how long."""
+        """Everything but what is pulled."""
         return tuple(
             getattr(self, field.name)
             for field in fields(Pull)
-            if field.name not in ("curve", "choice", "immersion", "peak_drop")
+            if field.name not in ("curve", "choice", "immersion")
         )
 
 
@@ -66,9 +65,8 @@ class Pull:
 class Row(Pull):
     """A pull with its outcome and cost.
 
-    strain_at_peak: elongation over length at the largest force; strain_at_drop: where the force has
-    fallen by a tenth (NaN where it has not); iterations: most of one increment; processor_seconds:
-    of the whole pull; seconds: of the clock, and of these material and assembly, set-up of the
+    strain_at_peak: at the largest force; iterations: most of one increment; processor_seconds: of
+    the whole pull; seconds: of the clock, and of these material and assembly, set-up of the
     preconditioner, linear solutions.
     """
 
@@ -76,7 +74,6 @@ class Row(Pull):
     unknowns: int = 0
     peak_force: float = float("nan")
     strain_at_peak: float = float("nan")
-    strain_at_drop: float = float("nan")
     increments: int = 0
     iterations: int = 0
     processor_seconds: float = 0.0
@@ -250,7 +247,7 @@ def pull_once(folder: Path, pull: Pull, limit: float = LIMIT_SECONDS) -> Row:
             ),
             TensileSettings(
                 pull.element, test.final_strain, min(0.002, pull.increment), pull.increment,
-                peak_drop=pull.peak_drop, tolerance=pull.tolerance, damage=pull.damage,
+                peak_drop=test.peak_drop, tolerance=pull.tolerance, damage=pull.damage,
                 damage_length=pull.damage_length, threads=1,
                 grips=grips,
             ),
@@ -270,7 +267,6 @@ def pull_once(folder: Path, pull: Pull, limit: float = LIMIT_SECONDS) -> Row:
         unknowns=int(cost.get("unknowns", 0)),
         peak_force=result.peak_force,
         strain_at_peak=result.elongation_at_peak / result.length,
-        strain_at_drop=strain_at_drop(result.elongation / result.length, result.force, 0.1),
         increments=len(result.force) - 1,
         iterations=int(history["iterations"].max()) if history else 0,
         processor_seconds=time.process_time() - begun,
@@ -293,17 +289,6 @@ def mapped_damage(points, cells, pull: Pull, field, maximum: float) -> np.ndarra
         return map_damage(at, *lattice, float(field["solid"]), maximum)
     at, _ = sampling_points(points, cells, pull.samples)  # points of equal volumes
     return map_damage(at, *lattice, float(field["solid"]), maximum).mean(axis=1, keepdims=True)
-
-
-def strain_at_drop(strain: np.ndarray, force: np.ndarray, drop: float) -> float:
-    """Strain at which the force has fallen by `drop` below its peak; NaN where it never does."""
-    peak = int(np.argmax(force))
-    below = np.flatnonzero(force[peak:] <= (1.0 - drop) * force[peak])
-    if not below.size or below[0] == 0:
-        return float("nan")
-    k = peak + int(below[0])
-    share = (force[k - 1] - (1.0 - drop) * force[peak]) / (force[k - 1] - force[k])
-    return float(strain[k - 1] + share * (strain[k] - strain[k - 1]))
 
 
 def weeks(label: str) -> float:

@@ -2,11 +2,9 @@
 
 Every run is the reference screw with the corrosion field of the quick lattice.  Meshes of three
 elements are pulled with the same increments; increments (of P2, and taken to hold for the others),
-tolerance and growth of f are varied on one mesh of an element each, the grips on two.  The length
-that the growth of f is averaged over is varied with grips on the end faces, where the force does
-depend on it.  The reference of a peak force is the limit of the P2 meshes
-(`limit_of`); how far that limit lies from the finest mesh is its uncertainty, and part of every
-error that is quoted.
+tolerance and growth of f are varied on one mesh of an element each, the grips on two.  The
+reference of a strength ratio is the limit of the P2 meshes (`limit_of`); how far that limit lies
+from the finest mesh is its uncertainty, and part of every error of a ratio.
 """
 
 from __future__ import annotations
@@ -38,17 +36,13 @@ LONG_MESHES = {
 INCREMENT = 0.01
 """Largest strain increment of the runs that compare meshes."""
 
-SETTLED = 0.10
-"""Largest uncertainty of a reference, relative, at the immersion times that decide the presets."""
-
 INCREMENTS = (0.02, 0.01, 0.005, 0.0025)
 LONG_INCREMENTS = (0.02, 0.01, 0.005, 0.0025, 0.00125)
 TOLERANCES = (1e-3, 1e-5, 1e-7)
-LENGTHS = (0.0, 100e-6, 200e-6)
 GRIPS = (0.0, 0.5e-3, None, 0.9e-3)
 MESH_CURVES = ("P1", "P1-Fbar", "P2")
 INCREMENT_CURVE, TOLERANCE_CURVE = "increment (P2)", "tolerance (P1-Fbar)"
-DAMAGE_CURVE, LENGTH_CURVE, GRIP_CURVE = "growth of f", "averaging length", "grips"
+DAMAGE_CURVE, GRIP_CURVE = "growth of f", "grips"
 
 
 @dataclass(frozen=True)
@@ -99,10 +93,6 @@ def plan_pulls(alloys: Sequence[str], immersion: Sequence[str], long: bool = Fal
                     p = _pull(GRIP_CURVE, alloy, t, "P2", size)
                     text = "as in a run" if grip is None else f"{1e3 * grip:g} mm"
                     pulls.append(replace(p, choice=f"{text}, {p.choice}", grip=grip))
-            for x in LENGTHS:
-                p = _pull(LENGTH_CURVE, alloy, times[-1], "P2", size)
-                text = f"{1e6 * x:.0f} um, {p.choice}"
-                pulls.append(replace(p, choice=text, damage_length=x, peak_drop=0.12, grip=0.0))
     return pulls
 
 
@@ -142,7 +132,7 @@ def study_tensile(
 
 
 def _identity(pull: Pull) -> tuple:
-    return (pull.immersion, pull.peak_drop, *pull.setting())
+    return (pull.immersion, *pull.setting())
 
 
 def _placed(pulls: Sequence[Pull], found: dict[tuple, Row]) -> list[Row]:
@@ -243,11 +233,6 @@ class Errors:
             return 0.0
         return abs(self.ratio_of(row) / reference - 1.0) + uncertainty / reference
 
-    def settled(self, immersion: str) -> bool:
-        """Whether the reference of a corroded screw is certain enough to choose a mesh by it."""
-        reference, uncertainty = self.ratio[immersion]
-        return weeks(immersion) > 0.0 and uncertainty <= SETTLED * reference
-
     def curve(self, name: str, immersion: str) -> list[Row]:
         """Rows of one curve after one immersion time that ended as they should."""
         return [r for r in self.rows if r.curve == name and r.immersion == immersion and _ended(r)]
@@ -257,7 +242,7 @@ class Errors:
         found: dict[float, float] = {}
         for t in self.times:
             rows = sorted(self.curve(INCREMENT_CURVE, t), key=lambda r: -r.increment)
-            if not self.settled(t) or len(rows) < 2:
+            if weeks(t) == 0.0 or len(rows) < 2:
                 continue
             values = [self.ratio_of(r) for r in rows]
             exact = 2.0 * values[-1] - values[-2]
@@ -275,9 +260,8 @@ def _ended(row: Row) -> bool:
 class Setting:
     """Mesh, element and increment with the errors and costs that follow, over all alloys and times.
 
-    mesh_error, increment_error: of the strength ratio, relative, the largest over the times whose
-    reference has settled; force_error: the same of the peak force; by_time: error of the mesh after
-    each immersion time, the larger one of the alloys;
+    mesh_error, increment_error: of the strength ratio, relative, the doubt about its reference
+    added; force_error: of the peak force against its reference, by the mesh;
     seconds: of the processor, of the longest test; measured: whether the pair was run itself, else
     its cost follows from the number of increments.
     """
@@ -289,7 +273,6 @@ class Setting:
     mesh_error: float
     increment_error: float
     force_error: float
-    by_time: dict[str, float]
     seconds: float
     total_seconds: float
     measured: bool
@@ -305,13 +288,6 @@ class Setting:
         return max(self.mesh_error, self.force_error) + self.increment_error
 
 
-def settled_times(study: Study) -> list[str]:
-    """Immersion times at which the references of all alloys have settled; else all of them."""
-    errors = [Errors(study, alloy) for alloy in study.alloys]
-    corroded = [t for t in study.immersion if weeks(t) > 0.0]
-    return [t for t in corroded if all(e.settled(t) for e in errors)] or corroded
-
-
 def settings(study: Study) -> list[Setting]:
     """Every mesh with every increment; meshes with a test that stopped are left out."""
     errors = {alloy: Errors(study, alloy) for alloy in study.alloys}
@@ -323,7 +299,6 @@ def settings(study: Study) -> list[Setting]:
         x: sum(r.increments for r in study.rows if (r.curve, r.increment) == (INCREMENT_CURVE, x))
         for x in increment
     }
-    settled = settled_times(study)
     found = []
     meshes = {
         (r.curve, r.mesh_size, r.mesh_size_fine) for r in study.rows if r.curve in MESH_CURVES
@@ -335,20 +310,15 @@ def settings(study: Study) -> list[Setting]:
         ]  # fmt: skip
         if len(rows) < len(study.alloys) * len(study.immersion) or not all(map(_ended, rows)):
             continue
-        by_time = {
-            t: max(errors[r.alloy].ratio_error(r) for r in rows if r.immersion == t)
-            for t in study.immersion
-        }
-        if not np.isfinite(list(by_time.values())).all():
+        mesh = float(np.max([errors[r.alloy].ratio_error(r) for r in rows]))
+        force = float(np.max([errors[r.alloy].force_error(r) for r in rows]))
+        if not np.isfinite([mesh, force]).all():
             continue  # no reference at one of the times
-        deciding = [r for r in rows if r.immersion in settled]
-        mesh = max(by_time[r.immersion] for r in deciding)
-        force = max(errors[r.alloy].force_error(r) for r in deciding)
         for x in sorted(increment, reverse=True):
             scale = counts[x] / counts[INCREMENT]
             found.append(
                 Setting(
-                    curve, size, fine, x, mesh, increment[x], force, by_time,
+                    curve, size, fine, x, mesh, increment[x], force,
                     scale * max(r.processor_seconds for r in rows),
                     scale * sum(r.processor_seconds for r in rows), x == INCREMENT,
                 )

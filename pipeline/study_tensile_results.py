@@ -9,12 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.run_folder import write_text
-from pipeline.study_pulls import Row, weeks, write_rows
+from pipeline.study_pulls import Row, write_rows
 from pipeline.study_tensile import (
     DAMAGE_CURVE,
     GRIP_CURVE,
     INCREMENT_CURVE,
-    LENGTH_CURVE,
     MESH_CURVES,
     TOLERANCE_CURVE,
     Errors,
@@ -23,7 +22,6 @@ from pipeline.study_tensile import (
     cheapest,
     edge,
     settings,
-    settled_times,
 )
 
 WANTED_ERRORS = (0.10, 0.03, 0.01)
@@ -55,7 +53,6 @@ def tables(study: Study) -> list[str]:
                 *_choice_table(errors, curve),
                 "",
             ]
-        lines += _softening_table(errors)
     return [*lines, "## Settings", "", *_settings_table(study), "", *cheapest_lines(study)]
 
 
@@ -157,37 +154,10 @@ def _choice_table(errors: Errors, curve: str) -> list[str]:
     return lines
 
 
-def _softening_table(errors: Errors) -> list[str]:
-    rows = [r for r in errors.rows if r.curve == LENGTH_CURVE]
-    if not rows:
-        return []
-    lines = [
-        f"Softening after {rows[0].immersion}, pulled at the end faces: force, strain at the peak, "
-        "strain where a tenth of it is lost",
-        "",
-        _line(["averaging length, mesh", "cells", "peak / N", "at / %", "a tenth lost at / %"]),
-        _line(["---", *["---:"] * 4]),
-    ]
-    for row in sorted(rows, key=lambda r: (r.damage_length, r.cells)):
-        lines.append(
-            _line(
-                [
-                    row.choice,
-                    f"{row.cells:,}",
-                    f"{row.peak_force:.1f}",
-                    f"{100 * row.strain_at_peak:.2f}",
-                    f"{100 * row.strain_at_drop:.2f}",
-                ]
-            )  # fmt: skip
-        )
-    return [*lines, ""]
-
-
 def _settings_table(study: Study) -> list[str]:
     lines = [
         "Error of the strength ratio (mesh, with the uncertainty of the limit, plus increment) and "
-        f"of the peak force after {' and '.join(settled_times(study))}, and processor time of the "
-        "longest test and of all:",
+        "of the peak force (mesh plus increment), processor time of the longest test and of all:",
         "",
         _line(["element", "edges / mm", "increment", "ratio", "force", "longest", "all"]),
         _line(["---", *["---:"] * 6]),
@@ -200,7 +170,7 @@ def _settings_table(study: Study) -> list[str]:
                     f"{1e3 * s.mesh_size:g}, {1e3 * s.mesh_size_fine:g}",
                     f"{100 * s.increment:g} %",
                     f"{100 * s.error:.1f} %",
-                    f"{100 * s.force_error:.1f} %",
+                    f"{100 * (s.force_error + s.increment_error):.1f} %",
                     f"{s.seconds:.0f} s",
                     f"{s.total_seconds:.0f} s",
                 ]
@@ -214,7 +184,8 @@ def in_words(s: Setting) -> str:
     return (
         f"{s.element}, {1e3 * s.mesh_size:g}/{1e3 * s.mesh_size_fine:g} mm, increments of "
         f"{100 * s.increment:g} %: error {100 * s.error:.1f} % of the strength left, "
-        f"{100 * s.force_error:.1f} % of the peak force, {s.seconds:.0f} s a test"
+        f"{100 * (s.force_error + s.increment_error):.1f} % of the peak force, {s.seconds:.0f} s a "
+        "test"
     )
 
 
@@ -240,8 +211,7 @@ def presets_text(study: Study, command: str) -> str:
         )
     lines = [
         "# Mesh, element and increment of the presets, with their measured error of the strength",
-        "# ratio (largest relative error over the immersion times at which the limit of the meshes",
-        "# is known to 10 %, `settled`; reference screw).",
+        "# ratio (largest relative error over the immersion times; reference screw).",
         f"# Written by: {command}",
         "# then copied to pipeline/presets_tensile.toml. A preset is the cheapest setting within",
         "# its wanted error, of strength ratio and peak force, whose longest test stays below",
@@ -250,7 +220,6 @@ def presets_text(study: Study, command: str) -> str:
         f'command = "{command}"',
         f"alloys = {list(study.alloys)}".replace("'", '"'),
         f"immersion = {list(study.immersion)}".replace("'", '"'),
-        f"settled = {settled_times(study)}".replace("'", '"'),
     ]
     for name, (wanted, most) in PRESETS.items():
         s, reached = cheapest(found, wanted, most)
@@ -269,8 +238,6 @@ def presets_text(study: Study, command: str) -> str:
             f"increment_error = {s.increment_error:.2g}",
             f"force_error = {s.force_error:.2g}  # of the peak force, mesh",
             f"processor_seconds = {s.seconds:.2g}  # of the longest test",
-            f"[{name}.mesh_error_after]",
-            *(f'"{t}" = {e:.2g}' for t, e in s.by_time.items() if weeks(t) > 0),
         ]
     return "\n".join(lines) + "\n"
 

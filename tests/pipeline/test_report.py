@@ -258,8 +258,8 @@ def test_every_assumed_value_and_only_used_sources_are_listed(full):
 def test_doubt_and_cost_are_stated(full):
     _, page, _ = full
     sure = page.sections["sure"]
-    label, error = RESOLUTIONS["quick"].tensile_error.of_times()[0]
-    assert f"strength left is off by at most {100 * error:.0f} % up to {label}" in sure
+    error = RESOLUTIONS["quick"].tensile_error.error
+    assert f"strength left is off by at most {100 * error:.1f} % of its value" in sure
     assert "3e-13" in sure and "1.23 %" in sure and "0.20 %" in sure  # balance, map, energy
     quick = RESOLUTIONS["quick"].corrosion_error
     for alloy in ("Mg-5Gd", "Mg-10Gd"):

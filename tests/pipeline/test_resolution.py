@@ -68,16 +68,9 @@ def test_the_report_quotes_the_error_of_the_preset_used(name):
     assert f"{100 * known.error:.1f} %" in doubts.in_short(run_of(resolution_name=name), 3)
 
 
-def test_the_tensile_error_rises_with_the_immersion_time_and_falls_with_the_preset():
-    settled = tomllib.loads(TENSILE_FILE.read_text(encoding="utf-8"))["settled"]
-    for preset in RESOLUTIONS.values():
-        known = dict(preset.tensile_error.of_times())
-        errors = list(known.values())
-        assert errors == sorted(errors) and 0.001 < errors[0]
-        # The file holds two digits of each number: 5 % of rounding.
-        assert known[settled[-1]] == pytest.approx(preset.tensile_error.error, rel=0.05)
+def test_the_tensile_error_falls_with_the_preset():
     after = [RESOLUTIONS[n].tensile_error.error for n in ("quick", "standard", "fine")]
-    assert after == sorted(after, reverse=True)
+    assert after == sorted(after, reverse=True) and after[-1] > 0.001
     # Fourteen tests on two cores within an hour.
     assert 14 / 2 * RESOLUTIONS["standard"].tensile_error.processor_seconds <= 3600
 
@@ -97,10 +90,11 @@ def test_a_preset_that_keeps_neither_its_error_nor_its_time_says_so():
 
 @pytest.mark.parametrize("name", RESOLUTIONS)
 def test_the_report_quotes_the_tensile_error_of_the_preset_used(name):
-    label, error = RESOLUTIONS[name].tensile_error.of_times()[-1]
-    text = f"{100 * error:.0f} % up to {label}"
+    error = f"{100 * RESOLUTIONS[name].tensile_error.error:.1f} %"
     run = run_of(resolution_name=name)
-    assert text in doubts.error_estimate(run) and text in doubts.in_short(run, 3)
+    text = doubts.error_estimate(run)
+    assert f"at most {error} of its value because mesh" in text and "measured up to 24w" in text
+    assert f"strength left up to {error}" in doubts.in_short(run, 3)
     assert "on the reference screw of Mg-5Gd and Mg-10Gd;" in doubts.error_estimate(run)
     other = run_of(resolution_name=name, geometry=ScrewGeometry(ScrewParameters(thread="none")))
     assert "Mg-5Gd and Mg-10Gd, not here" in doubts.error_estimate(other)
@@ -119,7 +113,8 @@ def test_other_tensile_settings_do_not_borrow_the_error_of_a_preset(changes):
     run = run_of(**changes)
     text = doubts.error_estimate(run)
     assert "has not been measured for these grips, mesh, element and increment" in text
-    assert "up to 24w" not in text + doubts.in_short(run, 3)
+    assert "strength left is off by" not in text
+    assert "of the strength not measured" in doubts.in_short(run, 3)
 
 
 def test_other_settings_do_not_borrow_the_error_of_a_preset():
