@@ -65,7 +65,8 @@ def test_the_report_quotes_the_error_of_the_preset_used(name):
     known = RESOLUTIONS[name].corrosion_error
     assert f"{100 * known.of('Mg-10Gd'):.1f} % for Mg-10Gd" in text
     assert "in this very scene" in text
-    assert f"{100 * known.error:.1f} %" in doubts.in_short(run_of(resolution_name=name), 3)
+    most = max(map(known.of, known.time))
+    assert f"{100 * most:.1f} %" in doubts.in_short(run_of(resolution_name=name), 3)
 
 
 def test_the_tensile_error_falls_with_the_preset():

@@ -200,6 +200,12 @@ def test_presets_of_the_documentation_are_those_in_use():
             f"{1e6 * preset.spacing:.0f} um",
             f"| {preset.rate_change:g} |",
             f"{100 * known.of('Mg-5Gd'):.1f} %, {100 * known.of('Mg-10Gd'):.1f} %",
-            f"{preset.element} |",
+        ):
+            assert number in line, (name, number)
+        line = [line for line in text.splitlines() if line.startswith(f"| `{name}` |")][1]
+        sizes = f"{1e3 * preset.mesh_size:g}/{1e3 * preset.mesh_size_fine:g} mm, {preset.element} |"
+        for number in (
+            sizes,
+            f"| {100 * preset.increment:g} % | {100 * preset.tensile_error.error:.1f} % |",
         ):
             assert number in line, (name, number)
