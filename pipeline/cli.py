@@ -23,7 +23,7 @@ STUDIES = {
     "rates": "what lattice and orientation do to the dissolution rate (seconds)",
     "saturation": "what the time step does to the two saturation models (5 min)",
     "boundaries": "what no-flux walls and held layers do to diffusion near them (seconds)",
-    "tensile": "error of peak force and strength left against processor time, presets (30 min)",
+    "tensile": "error of peak force and strength left against processor time, presets (20 min)",
     "life-cycle": "where the error of the strength left comes from, and what less of it costs",
 }
 
