@@ -179,6 +179,7 @@ class _Test:
         self.limit = self.laws.per_cell(LIMIT)
         self.load = summary["load"]
         self.fixed, moved = self._fixed_unknowns()
+        self.unused = np.zeros(len(self.discretisation.coordinates), bool)  # by living cells
         self.grip = MovingGrip(comm, self.load, local.coordinates, moved, local.owned_nodes)
         self.linear = LinearSolver(comm, self.discretisation, self.fixed, settings.linear_solver)
         self.solver = EquilibriumSolver(
@@ -341,7 +342,7 @@ class _Test:
         amount = (march.strain + march.size) * self.load.extent
         if march.previous is not None:
             # what no living cell holds stays where it is
-            growth = np.where(self.fixed, 0.0, march.previous)
+            growth = np.where(self.unused[:, None], 0.0, march.previous)
             guess = march.displacement + growth * (march.size / march.previous_size)
             outcome, tried = self.solver.solve(guess, amount)
             if outcome.converged or outcome.reason != INVERTED_PREDICTION:
@@ -415,9 +416,9 @@ class _Test:
     def fix_unused(self) -> None:
         """Fix the nodes that no living cell has; call it where cells have been removed."""
         d = self.discretisation
-        unused = np.ones(len(d.coordinates), bool)
-        unused[d.cells[self.assembler.alive]] = False
-        self.fixed[unused] = True
+        self.unused[:] = True
+        self.unused[d.cells[self.assembler.alive]] = False
+        self.fixed[self.unused] = True
         self.linear.fixed_changed()
 
     def _parted(self) -> bool:

@@ -346,3 +346,22 @@ def test_cells_lost_on_the_way_cost_no_iterations():
     assert len(after) >= 7 and result.history["halvings"].sum() == 0
     # measured 2 to 4; 6 to 11 by the tangent
     assert result.history["iterations"][after].max() <= 5
+
+
+def test_metal_let_go_stays_where_it_is():
+    """Nodes that no living cell has any more are not carried on by the predictions."""
+    points, cells = round_bar(3, 6, 1e-3, 4e-3, waist=0.3)
+    outside = np.argmax(np.hypot(*points[:, :2].T) - 10 * abs(points[:, 2] - points[:, 2].mean()))
+    f0 = np.where((cells == outside).any(axis=1), 0.652, 0.0)
+    seen = []
+
+    def watch(increment):
+        seen.append((increment.test.unused.copy(), increment.march.displacement.copy()))
+
+    settings = TensileSettings(maximum_strain=0.08, full_curve=True)
+    result = tensile_test(points, cells, f0, MAGNESIUM, settings, observers=(watch,))
+    assert result.status == "completed" and result.lost_cells > 0
+    let_go = [n for n, (unused, _) in enumerate(seen) if unused.any()]
+    assert len(let_go) > 3
+    unused, first = seen[let_go[0]]
+    np.testing.assert_array_equal(seen[-1][1][unused], first[unused])
