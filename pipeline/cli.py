@@ -9,11 +9,11 @@ import errno
 import json
 import logging
 import os
-import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
+from pipeline import interruption
 from pipeline.options import add_scene_options
 
 INTERRUPTED = 130
@@ -112,7 +112,7 @@ def _add_machine_options(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run `perilife` with the given arguments and return its exit code."""
-    signal.signal(signal.SIGTERM, _interrupt)
+    interruption.listen()
     # Threads that wait must not spin: on a busy machine that costs hundreds of times the work.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     options = argparse.Namespace(out=None)
@@ -154,10 +154,6 @@ def sentence(error: BaseException) -> str:
         text = reasons.get(error.errno, f"{where} cannot be used: {os.strerror(error.errno)}")
     text = " ".join(text.split()) or type(error).__name__
     return text if text.endswith(".") else f"{text}."
-
-
-def _interrupt(number: int, frame: object) -> None:
-    raise KeyboardInterrupt
 
 
 def _interrupted(options: argparse.Namespace) -> int:

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from pipeline import machine
+from pipeline import interruption, machine
 from pipeline.loads import LOADS
 from pipeline.progress import Progress
 from pipeline.run_folder import RunFolder, RunFolderError, StageRecord, utc_now
@@ -261,6 +261,7 @@ class LifeCycle:
         self.progress.started(key)
         begin = time.perf_counter()
         outcome = work()
+        interruption.check()
         seconds = time.perf_counter() - begin
         record = self._complete(stage, folder, inputs, seconds, outcome)
         self.progress.finished(key, seconds)

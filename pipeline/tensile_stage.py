@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline import interruption
 from pipeline.loads import LOADS
 from pipeline.machine import child_environment, mpirun, processor_cores
 from pipeline.map_stage import DAMAGE_FILE, read_damage
@@ -266,6 +267,7 @@ def run_jobs(
                 running.append(_start(key, job, command_line, ranks, workers))
                 started(key)
             time.sleep(POLL_SECONDS)
+            interruption.check()
             for item in list(running):
                 code = item.process.poll()
                 if code is None:

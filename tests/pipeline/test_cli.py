@@ -3,14 +3,17 @@
 import argparse
 import itertools
 import json
+import os
 import re
+import signal
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import perilife_data
-from pipeline import corrosion_stage, machine, provenance
+from pipeline import corrosion_stage, interruption, machine, provenance
 from pipeline.bench import BENCHMARKS, Benchmark, Result
 from pipeline.cli import main, sentence
 from pipeline.opening import open_run
@@ -428,3 +431,26 @@ def test_errors_of_the_system_become_one_sentence():
     denied = PermissionError(errno.EACCES, "Permission denied", "/data/run")
     assert sentence(denied) == "there is no right to write or read '/data/run'."
     assert sentence(ValueError("two\nlines")) == "two lines."
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_an_interruption_that_python_drops_is_not_lost():
+    """The exception of a signal that arrives within a finaliser is printed and forgotten."""
+
+    class Finalised:
+        def __del__(self):
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.01)  # the handler runs here
+
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        interruption.listen()
+        interruption.check()
+        Finalised()
+        with pytest.raises(KeyboardInterrupt):
+            interruption.check()
+        interruption.listen()
+        interruption.check()
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

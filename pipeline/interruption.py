@@ -1,0 +1,28 @@
+"""Ctrl-C and SIGTERM end the work even where Python loses the exception.
+
+A KeyboardInterrupt that is raised within a finaliser is printed and dropped, so the handler also
+remembers that it was asked; long work looks with `check`.
+"""
+
+import signal
+import threading
+
+_asked = threading.Event()
+
+
+def listen() -> None:
+    """Take SIGINT and SIGTERM from now on; to be called in the main thread."""
+    _asked.clear()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _interrupt)
+
+
+def check() -> None:
+    """Raise KeyboardInterrupt if the process was asked to end."""
+    if _asked.is_set():
+        raise KeyboardInterrupt
+
+
+def _interrupt(number: int, frame: object) -> None:
+    _asked.set()
+    raise KeyboardInterrupt
