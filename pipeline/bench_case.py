@@ -27,6 +27,7 @@ BALL_RADIUS = 4e-3
 def in_own_process(case: str, *, ranks: int = 0, threads: int | None = None, **arguments) -> dict:
     """Run a case and return its numbers; ranks > 0: under mpirun, one thread each.
 
+    Says on standard error which case runs and how long it took.
     Raises FileNotFoundError where mpirun is needed and absent, RuntimeError where the case fails
     (with the last line that it said).
     """
@@ -34,7 +35,11 @@ def in_own_process(case: str, *, ranks: int = 0, threads: int | None = None, **a
     if ranks:
         command, threads = [*mpirun(ranks, "the ranks of scaling"), *command], 1
     environment = child_environment(ranks, threads)
+    given = ", ".join(f"{k} {v}" for k, v in arguments.items() if not isinstance(v, list))
+    print(f"{case} {given} ...", end=" ", file=sys.stderr, flush=True)
+    begun = time.monotonic()
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    print(f"{time.monotonic() - begun:.0f} s", file=sys.stderr, flush=True)
     for line in done.stdout.splitlines():
         if line.startswith(MARK):
             return json.loads(line[len(MARK) :])
