@@ -124,7 +124,7 @@ BENCHMARKS: dict[str, Benchmark] = {
     "stencil": Benchmark("bond sums per second, direct and by FFT", bench_corrosion.stencil),
     "implicit": Benchmark("CG iterations and time per unknown", bench_corrosion.implicit),
     "screw": Benchmark(
-        "the published full screw run, 2.14e6 nodes, 56 days (about an hour)",
+        "the published full screw run, 2.14e6 nodes, 56 days (15 minutes)",
         bench_corrosion.screw,
         bench_corrosion.small_screw,
     ),
