@@ -57,7 +57,7 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
     screw.add_argument("--unit", metavar="U", help=f"of the solid: {', '.join(METRES_PER)} (mm)")
     corrosion = parser.add_argument_group("corrosion, where the preset is not wanted")
     corrosion.add_argument("--spacing", metavar="LENGTH", help="lattice spacing")
-    corrosion.add_argument("--horizon", metavar="LENGTH")
+    corrosion.add_argument("--horizon", metavar="LENGTH", help="the grips hold that much more, too")
     corrosion.add_argument("--step", metavar="TIME", help="fixed time step (controlled)")
     corrosion.add_argument("--rate-change", type=float, metavar="X", help="step control")
     corrosion.add_argument("--scheme", metavar="S", help=", ".join(TIME_SCHEMES))

@@ -13,7 +13,7 @@ from peri.influence import diffusion_stencil
 from pipeline import machine
 from pipeline.corrosion_stage import domain_lattice, liquid_domain, march_omissions
 from pipeline.loads import LOADS
-from pipeline.scene import OMITTABLE, Scene, SceneError, ScrewGeometry, TensileScene
+from pipeline.scene import OMITTABLE, Scene, SceneError, ScrewGeometry
 from pipeline.surface import Solid
 from pipeline.units import format_bytes, format_length, format_seconds
 
@@ -336,7 +336,7 @@ def scene_omissions(scene: Scene) -> list[Omission]:
         )
     if scene.immersion[0].seconds == 0 and len(scene.immersion) == 1:
         found.append(Omission("corrosion", "only time zero is asked for", "none"))
-    found += _tensile_departures(scene.tensile)
+    found += _tensile_departures(scene)
     drop = scene.tensile.peak_drop
     if drop < 1:
         names = LOADS[scene.tensile.load]
@@ -351,8 +351,9 @@ def scene_omissions(scene: Scene) -> list[Omission]:
     return found
 
 
-def _tensile_departures(test: TensileScene) -> list[Omission]:
+def _tensile_departures(scene: Scene) -> list[Omission]:
     """Where the tensile test does less than the source, or something else."""
+    test = scene.tensile
     found = [
         Omission(
             "the full moduli of corroded metal",
@@ -384,7 +385,8 @@ def _tensile_departures(test: TensileScene) -> list[Omission]:
                 "the metal within the grips",
                 f"the outer {format_length(test.bottom_grip)} and {format_length(test.top_grip)} "
                 "are held and not strained; --bottom-grip 0mm --top-grip 0mm holds the end faces, "
-                "as published, and tears off what is corroded there",
+                "as published, and tears off what is corroded there"
+                + ("" if isinstance(scene.geometry, ScrewGeometry) else "; no slot is known"),
                 "part of the scene (pipeline/README.md: strength left by the length held)",
             )
         )

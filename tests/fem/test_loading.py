@@ -47,6 +47,15 @@ def test_elastic_torsion():
     assert result.torque[-1] == pytest.approx(stiffness * result.angle[-1], rel=1e-4)
 
 
+def test_deep_grips_leave_a_shorter_bar_to_twist():
+    """Grips of a quarter of the length each: strain, angle and stiffness are those of the half."""
+    settings = once("torsion", 1e-5, grips=Grips(LENGTH / 4, LENGTH / 4))
+    result = tensile_test(*bar(6, 4), 0.0, ELASTIC, settings)
+    assert result.angle[-1] == pytest.approx(1e-5 * LENGTH / 2 / RADIUS, rel=0.02)
+    stiffness = 43e9 / 2.6 * np.pi / 2 * RADIUS**4 / (LENGTH / 2)
+    assert result.torque[-1] == pytest.approx(stiffness * result.angle[-1], rel=1e-4)
+
+
 def test_elastic_bending():
     """Moment = E I angle / L, I = pi r^4 / 4."""
     result = tensile_test(*bar(6, 4), 0.0, NO_POISSON, once("bending", 1e-5))

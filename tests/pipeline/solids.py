@@ -71,7 +71,7 @@ def reference_screw():
 
 
 @functools.cache
-def quick_mesh():
+def coarse_mesh():
     """A coarse mesh of the reference screw."""
     from pipeline.geometry import tetrahedral_mesh
 
@@ -79,7 +79,7 @@ def quick_mesh():
 
 
 @functools.cache
-def standard_mesh():
+def fine_mesh():
     """A fine mesh of the reference screw."""
     from pipeline.geometry import tetrahedral_mesh
 

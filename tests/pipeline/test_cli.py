@@ -22,7 +22,7 @@ from pipeline.rate_law import KINETICS
 from pipeline.resolution import RESOLUTIONS
 from pipeline.run_folder import RunFolder
 from pipeline.scene import DISSOLUTION_LAWS, OMITTABLE, scene_from_json
-from tests.pipeline.solids import quick_mesh
+from tests.pipeline.solids import coarse_mesh
 
 PIN = ["--thread", "none"]  # a plain pin: its solid takes a tenth of a second
 COARSE = ["--spacing", "300um", "--horizon", "600um", "--radial-margin", "1mm"]
@@ -324,7 +324,7 @@ def test_plan_knows_the_size_of_the_mesh_of_the_screw(capsys):
     edges = ["--mesh-size", "0.3mm", "--mesh-size-fine", "0.2mm"]
     assert main(["plan", *SCENE[:-2], *edges, "--json"]) == 0
     plan = json.loads(capsys.readouterr().out)
-    cells = quick_mesh().cells
+    cells = coarse_mesh().cells
     sides = np.sort(cells[:, list(itertools.combinations(range(4), 2))].reshape(-1, 2), axis=1)
     nodes = len(np.unique(cells)) + len(np.unique(sides, axis=0))
     assert plan["unknowns"] == pytest.approx(3 * nodes, rel=0.1)  # measured 1.2 %

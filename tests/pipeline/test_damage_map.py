@@ -16,7 +16,7 @@ from pipeline.damage_map import (
     net_section,
 )
 from pipeline.voxels import metal_fraction
-from tests.pipeline.solids import quick_mesh, reference_screw, standard_mesh
+from tests.pipeline.solids import coarse_mesh, fine_mesh, reference_screw
 
 SOLID = 66082.4
 ORIGIN = np.array([-1.0e-3, 0.5e-3, 0.2e-3])
@@ -94,7 +94,7 @@ def test_intact_solid_has_no_damage_at_all(method):
 
 
 def test_intact_screw_has_no_damage_at_all():
-    solid, mesh = reference_screw(), quick_mesh()
+    solid, mesh = reference_screw(), coarse_mesh()
     spacing = 100e-6
     origin = np.array(solid.bounding_box[0]) - 2.3 * spacing
     inside, _ = metal_fraction(solid, origin, spacing, (25, 25, 45))
@@ -206,10 +206,10 @@ def _corroded(spacing, loss, horizon=200e-6):
 
 
 @pytest.mark.parametrize("loss", [0.05, 0.15, 0.5])
-def test_lost_mass_at_standard(loss):
-    """Lattice 50 um, mesh of the standard preset: within 2 %."""
+def test_lost_mass_on_a_fine_mesh(loss):
+    """Lattice 50 um, edges of 0.12 and 0.07 mm: within 2 %."""
     origin, concentration, metal, capacity = _corroded(50e-6, loss)
-    mesh = standard_mesh()
+    mesh = fine_mesh()
     points, weights = quadrature_points(mesh.points, mesh.cells, "P2")
     report = compare_lost_volume(
         points, weights, origin, 50e-6, concentration, metal, capacity, SOLID
@@ -222,7 +222,7 @@ def test_lost_mass_at_standard(loss):
 def test_restricted_loses_less_mass_than_fitted():
     """Why restricted is the default: extrapolating the steep layer adds mass loss."""
     origin, concentration, metal, capacity = _corroded(100e-6, 0.05)
-    mesh = standard_mesh()
+    mesh = fine_mesh()
     points, weights = quadrature_points(mesh.points, mesh.cells, "P2")
     difference = {
         method: compare_lost_volume(
@@ -260,7 +260,7 @@ def test_lost_volumes_of_a_uniform_loss():
 
 def test_a_million_points_per_second():
     origin, concentration, metal, _ = _corroded(50e-6, 0.15)
-    mesh = standard_mesh()
+    mesh = fine_mesh()
     points, _ = quadrature_points(mesh.points, mesh.cells, "P2")
     points = np.concatenate([points.reshape(-1, 3)] * 5)
     map_damage(points[:10], origin, 50e-6, concentration, metal, SOLID)  # compiled

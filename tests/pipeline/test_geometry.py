@@ -26,11 +26,11 @@ from pipeline.screw import reference_volume_and_area
 from pipeline.surface import check_surface, smallest_feature, surface_volume_and_area
 from tests.pipeline.solids import (
     box,
+    coarse_mesh,
+    fine_mesh,
     icosphere,
     joined,
-    quick_mesh,
     reference_screw,
-    standard_mesh,
     write_ascii_stl,
     write_stl,
 )
@@ -182,7 +182,7 @@ def _assert_sound(mesh, solid, area_error):
 
 
 def test_quick_mesh():
-    mesh = quick_mesh()
+    mesh = coarse_mesh()
     assert 5_000 <= mesh.quality["cells"] <= 10_000  # measured 7,320
     assert abs(mesh.quality["volume_error"]) < 0.01  # measured -0.45 %
     # the smallest angles belong to the 3.6 degree corners where the crest runs out at the ends
@@ -192,7 +192,7 @@ def test_quick_mesh():
 
 
 def test_standard_mesh():
-    mesh = standard_mesh()
+    mesh = fine_mesh()
     assert 40_000 <= mesh.quality["cells"] <= 80_000  # measured 57,850
     assert abs(mesh.quality["volume_error"]) < 0.004  # measured 0.17 %
     assert mesh.quality["min_shape"] > 0.1  # measured 0.219
@@ -201,7 +201,7 @@ def test_standard_mesh():
 
 
 def test_mesh_is_finer_at_the_thread():
-    mesh = standard_mesh()
+    mesh = fine_mesh()
     centre = mesh.points[mesh.cells].mean(axis=1)
     size = np.cbrt(cell_volumes(mesh.points, mesh.cells))
     radius = np.hypot(centre[:, 0], centre[:, 1])
@@ -211,8 +211,8 @@ def test_mesh_is_finer_at_the_thread():
 
 def test_mesh_is_reproducible():
     again = tetrahedral_mesh(reference_screw(), 0.3e-3, 0.2e-3)
-    assert np.array_equal(again.points, quick_mesh().points)
-    assert np.array_equal(again.cells, quick_mesh().cells)
+    assert np.array_equal(again.points, coarse_mesh().points)
+    assert np.array_equal(again.cells, coarse_mesh().cells)
 
 
 def test_quality_of_a_regular_and_a_flat_tetrahedron():
@@ -228,7 +228,7 @@ def test_quality_of_a_regular_and_a_flat_tetrahedron():
 
 
 def test_mesh_files(tmp_path):
-    mesh = quick_mesh()
+    mesh = coarse_mesh()
     write_mesh(mesh, tmp_path)
     again = read_mesh(tmp_path)
     assert np.array_equal(again.points, mesh.points)
