@@ -185,7 +185,7 @@ def test_a_pin_is_twisted_or_bent_instead_of_pulled(tmp_path, words, plastic):
     _, told = _finish(_start(out, *more))
     intact, corroded = read_summary(out / "summary.csv")
     assert intact.load == corroded.load == words[0]
-    # the metal hardens and coarse cells are too strong: measured 1.22 (torsion), 1.27 (bending)
+    # the metal hardens and coarse cells are too strong: measured 1.20 (torsion), 1.21 (bending)
     assert 1.0 < intact.peak_reaction / plastic < 1.4
     assert corroded.strength_ratio == pytest.approx(
         corroded.peak_reaction / intact.peak_reaction, rel=1e-9
