@@ -4,5 +4,5 @@ The package needs NumPy and Numba for the material, PETSc and dolfinx for the so
 nothing of corrosion or of geometry. Give it a tetrahedral mesh, a damage field at the quadrature
 points and a material, and it returns the force-elongation curve:
 
->>> from fem.tensile_test import TensileSettings, tensile_test
+>>> from fem.strength import TensileSettings, tensile_test
 """

@@ -13,8 +13,8 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from pipeline import interruption
-from pipeline.options import add_scene_options
+from pipeline.record import interruption
+from pipeline.scene.options import add_scene_options
 
 INTERRUPTED = 130
 
@@ -121,7 +121,7 @@ def main(arguments: list[str] | None = None) -> int:
         if options.verbose:
             logging.basicConfig(level=logging.INFO, format="%(name)s: %(message)s")
         if options.version:
-            from pipeline.machine import version
+            from pipeline.record.machine import version
 
             print(f"perilife {version()}")
             return 0
@@ -169,9 +169,9 @@ def _interrupted(options: argparse.Namespace) -> int:
 
 def _run(options: argparse.Namespace) -> int:
     from pipeline.life_cycle import run_life_cycle
-    from pipeline.options import scene_from_options
-    from pipeline.progress import progress_for
-    from pipeline.run_folder import RunFolder
+    from pipeline.record.progress import progress_for
+    from pipeline.record.run_folder import RunFolder
+    from pipeline.scene.options import scene_from_options
 
     _check_counts(options)
     scene = scene_from_options(options)
@@ -194,9 +194,9 @@ def _run(options: argparse.Namespace) -> int:
 
 def _geometry(options: argparse.Namespace) -> int:
     from pipeline.life_cycle import LifeCycle
-    from pipeline.opening import open_run
-    from pipeline.options import scene_from_options
-    from pipeline.progress import progress_for
+    from pipeline.record.progress import progress_for
+    from pipeline.scene.options import scene_from_options
+    from pipeline.stages.opening import open_run
 
     scene = scene_from_options(options)
     with (
@@ -238,8 +238,8 @@ def _report(options: argparse.Namespace) -> int:
 def _stages(options: argparse.Namespace, action: Callable) -> int:
     """Open the run folder of a stage command, lock it and let `action` work on it."""
     from pipeline.life_cycle import LifeCycle
-    from pipeline.opening import read_run
-    from pipeline.progress import progress_for
+    from pipeline.record.progress import progress_for
+    from pipeline.stages.opening import read_run
 
     folder, scene = read_run(options.out)
     names = getattr(options, "alloy", None) or [alloy.name for alloy in scene.alloys]
@@ -259,8 +259,8 @@ def _stages(options: argparse.Namespace, action: Callable) -> int:
 
 
 def _plan(options: argparse.Namespace) -> int:
-    from pipeline.options import scene_from_options
-    from pipeline.plan import make_plan, print_plan
+    from pipeline.scene.options import scene_from_options
+    from pipeline.stages.plan import make_plan, print_plan
 
     plan = make_plan(scene_from_options(options), with_march=True)
     if options.json:
@@ -283,7 +283,7 @@ def _alloys(options: argparse.Namespace) -> int:
 
 
 def _bench(options: argparse.Namespace) -> int:
-    from pipeline.bench import BENCHMARKS, print_result, run_benchmark
+    from pipeline.benches.registry import BENCHMARKS, print_result, run_benchmark
 
     if options.name == "list":
         for name, benchmark in BENCHMARKS.items():
@@ -306,22 +306,22 @@ def _study(options: argparse.Namespace) -> int:
         known = ", ".join(STUDIES)
         raise ValueError(f"study '{options.what}' is not known; it must be one of {known}")
     if options.what == "rates":
-        from pipeline.study_rates import print_rates
+        from pipeline.studies.rates import print_rates
 
         print_rates()
         return 0
     if options.what == "boundaries":
-        from pipeline.study_boundaries import print_boundaries
+        from pipeline.studies.boundaries import print_boundaries
 
         print_boundaries()
         return 0
     if options.what == "saturation":
-        from pipeline.study_saturation import print_saturation
+        from pipeline.studies.saturation import print_saturation
 
         print_saturation()
         return 0
     if options.what == "life-cycle":
-        from pipeline.study_life_cycle import print_study
+        from pipeline.studies.life_cycle import print_study
 
         print_study((options.alloy or ["Mg-5Gd"])[0], (options.immersion or ["8w"])[0])
         return 0
@@ -330,11 +330,12 @@ def _study(options: argparse.Namespace) -> int:
     options.alloy = options.alloy or ["Mg-5Gd", "Mg-10Gd"]
     if options.out is None:
         raise ValueError("study corrosion writes a table and a plot; say where with --out DIR")
-    from pipeline.resolve import resolve_scene
+    from pipeline.scene.resolve import resolve_scene
 
     for alloy in options.alloy:
         resolve_scene([alloy], ["0w"], "quick")
-    from pipeline import study_corrosion, study_results
+    from pipeline.studies import corrosion as study_corrosion
+    from pipeline.studies import corrosion_results as study_results
 
     study = study_corrosion.study_corrosion(options.alloy, lambda line: print(line, flush=True))
     command = f"perilife study corrosion --alloy {' '.join(options.alloy)} --out {options.out}"
@@ -347,8 +348,9 @@ def _study(options: argparse.Namespace) -> int:
 
 
 def _study_tensile(options: argparse.Namespace) -> int:
-    from pipeline import study_tensile, study_tensile_results
-    from pipeline.resolve import resolve_scene
+    from pipeline.scene.resolve import resolve_scene
+    from pipeline.studies import tensile as study_tensile
+    from pipeline.studies import tensile_results as study_tensile_results
 
     if options.out is None:
         raise ValueError("study tensile writes a table and a plot; say where with --out DIR")
@@ -384,7 +386,7 @@ def _print_summary(rows: list) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from pipeline.loads import LOADS
+    from pipeline.scene.loads import LOADS
 
     names = LOADS[rows[0].load]
     table = Table(title=f"Residual {names.strength}")

@@ -1,7 +1,7 @@
 """The life cycle: geometry, corrosion, damage map, tensile tests, table and report, with resume.
 
 Each method of `LifeCycle` does one stage unless its record says that it is complete.  Files and
-folders are those of `pipeline.run_folder`.
+folders are those of `pipeline.record.run_folder`.
 """
 
 import logging
@@ -9,15 +9,21 @@ import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from pipeline import interruption, machine
-from pipeline.loads import LOADS
-from pipeline.progress import Progress
-from pipeline.run_folder import RunFolder, RunFolderError, StageRecord, utc_now
-from pipeline.scene import Scene
-from pipeline.stage_hashes import corrosion_hash, geometry_hash, map_hash, pull_hash, report_hash
-from pipeline.summary import SummaryRow, write_summary
-from pipeline.tensile_stage import CURVE_FILE, RESULT_FILE, TensileJob, read_result, run_jobs
-from pipeline.units import ImmersionTime
+from pipeline.record import interruption, machine
+from pipeline.record.progress import Progress
+from pipeline.record.run_folder import RunFolder, RunFolderError, StageRecord, utc_now
+from pipeline.record.stage_hashes import (
+    corrosion_hash,
+    geometry_hash,
+    map_hash,
+    pull_hash,
+    report_hash,
+)
+from pipeline.record.summary import SummaryRow, write_summary
+from pipeline.scene.loads import LOADS
+from pipeline.scene.scene import Scene
+from pipeline.scene.units import ImmersionTime
+from pipeline.stages.strength import CURVE_FILE, RESULT_FILE, TensileJob, read_result, run_jobs
 
 logger = logging.getLogger(__name__)
 
@@ -39,7 +45,7 @@ def run_life_cycle(
     Returns the rows of summary.csv.  Raises ValueError, OSError or MemoryError with one sentence
     for what cannot be computed, TensileStageError for a tensile test without a result.
     """
-    from pipeline.opening import open_run
+    from pipeline.stages.opening import open_run
 
     path = out.path if isinstance(out, RunFolder) else out
     with open_run(scene, path, resume) as (folder, solid):
@@ -94,7 +100,7 @@ class LifeCycle:
 
     def geometry(self) -> StageRecord:
         """Solid and tetrahedral mesh."""
-        from pipeline.geometry_stage import write_geometry
+        from pipeline.stages.geometry import write_geometry
 
         folder = self.folder.geometry
         return self._do(
@@ -107,7 +113,7 @@ class LifeCycle:
 
     def corrode(self, alloy: str) -> StageRecord:
         """Corrosion of one alloy, one march through all immersion times."""
-        from pipeline.corrosion_stage import corrode_in_folder
+        from pipeline.stages.corrosion import corrode_in_folder
 
         self._needs("geometry", self.folder.geometry, geometry_hash(self.scene))
         key, folder = f"corrode {alloy}", self.folder.corrosion(alloy)
@@ -128,7 +134,7 @@ class LifeCycle:
 
     def map(self, alloy: str, moment: ImmersionTime) -> StageRecord:
         """Corrosion damage of one alloy after one immersion time at the quadrature points."""
-        from pipeline.map_stage import map_in_folder
+        from pipeline.stages.mapping import map_in_folder
 
         self._needs("geometry", self.folder.geometry, geometry_hash(self.scene))
         corrosion = self.folder.corrosion(alloy)
@@ -221,7 +227,7 @@ class LifeCycle:
 
     def report(self, again: bool = False) -> StageRecord:
         """The report in one HTML file; made again when a stage was, or when asked to."""
-        from pipeline.report import write_report
+        from pipeline.report.report import write_report
 
         def work() -> Outcome:
             return [Path(write_report(self.folder.path))], {}

@@ -1,8 +1,9 @@
 """The house rules on imports and output, read from the sources of all packages.
 
 peri, fem and data (imported as perilife_data) know nothing of one another; only pipeline joins
-them. dolfinx stays in fem, gmsh in pipeline/geometry.py, and libraries neither print nor touch
-the root logger.
+them. dolfinx stays in fem, gmsh in pipeline/geometry/solids.py, and libraries neither print nor
+touch the root logger. Within a package a room (a folder, or a file at its top) imports only from
+the rooms that BELOW names.
 """
 
 import ast
@@ -26,12 +27,37 @@ THIRD_PARTY = {
 """What the libraries may import besides the standard library and themselves."""
 
 MORE_ALLOWED = {
-    "peri/petsc_backend.py": PARALLEL,
-    "peri/petsc_multigrid.py": PARALLEL,
-    "peri/results.py": {"pyvista"},
+    "peri/parallel/ranks.py": PARALLEL,
+    "peri/parallel/multigrid.py": PARALLEL,
+    "peri/corrosion/ranks.py": PARALLEL,
+    "peri/corrosion/results.py": {"pyvista"},
     "fem/results.py": {"pyvista"},
 }
-"""The two files of peri that reach PETSc, and the files that write VTK."""
+"""The files of peri that reach MPI and PETSc, and the files that write VTK."""
+
+GMSH = "pipeline/geometry/solids.py"
+
+BELOW = {
+    "peri": {
+        "engine": set(),
+        "parallel": {"engine"},
+        "reference": {"engine"},
+        "corrosion": {"engine", "parallel"},
+        "omissions": {"engine", "corrosion"},
+    },
+    "pipeline": {
+        "scene": set(),
+        "geometry": {"scene"},
+        "record": {"scene"},
+        "stages": {"scene", "geometry", "record"},
+        "report": {"scene", "geometry", "record", "stages"},
+        "studies": {"scene", "geometry", "record", "stages"},
+        "life_cycle": {"scene", "geometry", "record", "stages", "report"},
+        "benches": {"scene", "geometry", "record", "stages", "studies", "life_cycle"},
+        "cli": {"scene", "record", "stages", "studies", "life_cycle", "benches"},
+    },
+}
+"""Package -> room -> the rooms that it may import from, besides itself."""
 
 STANDARD_LIBRARY = frozenset(__import__("sys").stdlib_module_names)
 
@@ -82,14 +108,14 @@ def foreign_imports(root: Path) -> list[str]:
 
 
 def misplaced_imports(root: Path) -> list[str]:
-    """Return imports of dolfinx outside fem and of gmsh outside pipeline/geometry.py."""
+    """Return imports of dolfinx outside fem and of gmsh outside the file that builds solids."""
     found = []
     for folder in FOLDERS:
         for path, tree in sources(root, folder):
             tops = {name.split(".")[0] for name in imported_modules(path, tree)}
             if folder != "fem":
                 found += [f"{path}: {top}" for top in sorted(tops & DOLFINX)]
-            if path != "pipeline/geometry.py" and "gmsh" in tops:
+            if path != GMSH and "gmsh" in tops:
                 found.append(f"{path}: gmsh")
     return found
 
@@ -113,6 +139,30 @@ def import_cycles(root: Path, folder: str) -> list[str]:
         if start in seen:
             cyclic.append(start)
     return cyclic
+
+
+def climbing_imports(root: Path) -> list[str]:
+    """Return the imports between rooms of a package that BELOW does not allow."""
+    found = []
+    for package, rooms in BELOW.items():
+        trees = {module_name(path): (path, tree) for path, tree in sources(root, package)}
+        for name, (path, tree) in trees.items():
+            room = (name.split(".") + [""])[1]
+            if room and room not in rooms:
+                found.append(f"{path}: a room without a row")
+                continue
+            for other in sorted(imported_modules(path, tree, trees) & trees.keys()):
+                target = (other.split(".") + [""])[1]
+                if target and target != room and target not in rooms.get(room, set()):
+                    found.append(f"{path}: {other}")
+    return found
+
+
+def test_every_row_names_rooms_that_exist() -> None:
+    for package, rooms in BELOW.items():
+        there = {p.stem for p in (ROOT / package).iterdir() if p.is_dir() or p.suffix == ".py"}
+        named = set(rooms).union(*rooms.values())
+        assert named <= there, (package, named - there)
 
 
 def talking_libraries(root: Path) -> list[str]:
@@ -160,6 +210,10 @@ def test_no_module_imports_itself_in_a_circle(folder: str) -> None:
     assert import_cycles(ROOT, folder) == []
 
 
+def test_rooms_import_only_from_rooms_below() -> None:
+    assert climbing_imports(ROOT) == []
+
+
 def test_libraries_neither_print_nor_use_the_root_logger() -> None:
     assert talking_libraries(ROOT) == []
 
@@ -170,8 +224,11 @@ def test_no_pickles() -> None:
 
 BROKEN = {
     "peri/__init__.py": "",
-    "peri/a.py": "from fem import tensile_test\nprint('loud')\n",
-    "peri/petsc_backend.py": "from petsc4py import PETSc\n",
+    "peri/a.py": "from fem import strength\nprint('loud')\n",
+    "peri/parallel/ranks.py": "from petsc4py import PETSc\n",
+    "peri/engine/low.py": "from peri.corrosion.high import thing\n",
+    "peri/corrosion/high.py": "from peri.engine.low import thing\nfrom peri.attic import old\n",
+    "peri/attic/old.py": "",
     "peri/b.py": "def late():\n    from . import c\n",
     "peri/c.py": "from .b import late\nimport logging\nlogging.info('root')\n",
     "peri/sub/__init__.py": "from peri.sub.user import thing\n",
@@ -181,7 +238,7 @@ BROKEN = {
     "peri/sub2/user.py": "from peri.sub2 import thing\n",
     "fem/constitutive/d.py": "import dolfinx\nimport logging\nlogging.getLogger()\n",
     "pipeline/e.py": "import gmsh, ufl, fem, peri\nimport pickle\n",
-    "pipeline/geometry.py": "import gmsh\n",
+    "pipeline/geometry/solids.py": "import gmsh\n",
     "data/f.py": "from perilife_data.units import to_si\nfrom peri.constants import F\n",
 }
 
@@ -193,7 +250,14 @@ BROKEN = {
         (misplaced_imports, ["pipeline/e.py: ufl", "pipeline/e.py: gmsh"]),
         (
             lambda root: import_cycles(root, "peri"),
-            ["peri.b", "peri.c", "peri.sub2", "peri.sub2.user"],
+            [
+                "peri.b",
+                "peri.c",
+                "peri.corrosion.high",
+                "peri.engine.low",
+                "peri.sub2",
+                "peri.sub2.user",
+            ],
         ),
         (
             talking_libraries,
@@ -201,6 +265,23 @@ BROKEN = {
                 "peri/a.py:2: print",
                 "peri/c.py:3: logging.info",
                 "fem/constitutive/d.py:3: logging.getLogger",
+            ],
+        ),
+        (
+            climbing_imports,
+            [
+                "peri/a.py: a room without a row",
+                "peri/attic/old.py: a room without a row",
+                "peri/b.py: a room without a row",
+                "peri/c.py: a room without a row",
+                "peri/corrosion/high.py: peri.attic.old",
+                "peri/engine/low.py: peri.corrosion.high",
+                "peri/sub/__init__.py: a room without a row",
+                "peri/sub/tool.py: a room without a row",
+                "peri/sub/user.py: a room without a row",
+                "peri/sub2/__init__.py: a room without a row",
+                "peri/sub2/user.py: a room without a row",
+                "pipeline/e.py: a room without a row",
             ],
         ),
         (pickles, ["pipeline/e.py"]),

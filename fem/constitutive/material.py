@@ -62,7 +62,7 @@ class Material:
     stiffness_loss: the moduli fall with f as the strength does, by 1 - q1 f. Departure from the
     source, which keeps them: metal that yields at a hundredth of the stress would yield at a
     hundredth of the strain too, and no Newton iteration gets through. What it does to the peak
-    force is in tests/fem/test_tensile_test.py.
+    force is in tests/fem/test_strength.py.
     """
 
     young: float

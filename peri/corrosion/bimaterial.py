@@ -17,14 +17,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from peri import kernels
 from peri.corrosion import saturation
+from peri.corrosion.blocks import block_scene
 from peri.corrosion.faradaic import FaradaicInterface
 from peri.corrosion.interface import Interface
 from peri.corrosion.scene import CorrosionScene
-from peri.operators import NonlocalSum
-from peri.processes import ONE_PROCESS, OneProcess
-from peri.solvers import ConvergenceError, DiffusionSystem
+from peri.engine import kernels
+from peri.engine.operators import NonlocalSum
+from peri.engine.processes import ONE_PROCESS, OneProcess
+from peri.engine.solvers import ConvergenceError, DiffusionSystem
 
 log = logging.getLogger(__name__)
 
@@ -72,7 +73,7 @@ class BiMaterial:
         processes: OneProcess = ONE_PROCESS,
     ) -> None:
         self.processes = processes
-        self.scene = scene = processes.local_scene(scene)
+        self.scene = scene = block_scene(scene, processes)
         self.tolerance = solver_tolerance
         lattice, stencil = scene.lattice, scene.stencil
         self.sum = NonlocalSum(stencil, lattice.shape, scene.domain, processes=processes)

@@ -4,7 +4,7 @@ dC_i/dt = -k sum_j w_ij c_j theta_j over the liquid j, k = D_int C_solid g: the 
 does not depend on what its metal node still holds (Zhao et al. 2021, Eqs 16 to 20, with the sum
 over the actual family in the place of its flat-front value f(z), so that each amount has a node
 that receives it).  A flat front anywhere delivers i/(zF), and travels at i/(zF C_solid); under
-the proportional law it is slower by ln(C_solid/C_sat) (rates.front_speed_ratio).
+the proportional law it is slower by ln(C_solid/C_sat) (reference.fronts.front_speed_ratio).
 
 A node is metal until it is empty.  A stage that empties nodes treats each one as liquid for the
 share of the stage that is left: without saturation a step of up to a layer is exact for a flat

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from peri.constants import FARADAY, GAS_CONSTANT
+from peri.engine.constants import FARADAY, GAS_CONSTANT
 
 
 def _positive(name: str, value: float) -> None:

@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from peri import results
 from peri.corrosion.bimaterial import BiMaterial, BoundsError, Stage
 from peri.corrosion.interface import late_exposure
 from peri.corrosion.scene import CorrosionScene
-from peri.marching import GAMMA, TimeStepping, next_step, step_towards
-from peri.processes import ONE_PROCESS, OneProcess
-from peri.solvers import ConvergenceError
+from peri.engine import checkpoints
+from peri.engine.marching import GAMMA, TimeStepping, next_step, step_towards
+from peri.engine.processes import ONE_PROCESS, OneProcess
+from peri.engine.solvers import ConvergenceError
 
 log = logging.getLogger(__name__)
 
@@ -98,7 +98,7 @@ def corrode(
     resume : bool
         Continue from the checkpoint if there is one; it must belong to the same march.
     processes : OneProcess or its like
-        Who holds which block of the lattice (petsc_backend.corrode gives it); progress, files
+        Who holds which block of the lattice (ranks.corrode gives it); progress, files
         and the result's fields are the root's.
 
     Raises
@@ -107,7 +107,7 @@ def corrode(
         For bad times, an explicit step above its limit (which changes as nodes turn liquid;
         without `step` the march follows it), or liquid without saturation that a Faradaic flux
         fills beyond the metal's concentration.
-    results.CheckpointError
+    checkpoints.CheckpointError
         A ValueError, for a checkpoint of another march or one that cannot be read.
     """
     stepping = stepping or TimeStepping()
@@ -125,7 +125,7 @@ def corrode(
             "which know when a node is empty"
         )
     mark = processes.on_root(
-        lambda: results.fingerprint(scene, times, stepping, solver_tolerance)
+        lambda: checkpoints.fingerprint(scene, times, stepping, solver_tolerance)
     )
     if stepping.scheme == "forward_euler":
         _explicit_step(problem, stepping)
@@ -399,12 +399,12 @@ def _save(problem, state: _State, path: Path, fingerprint: str, outputs) -> None
         arrays[f"output{n}/concentration"] = concentration
         arrays[f"output{n}/metal"] = metal
         arrays[f"output{n}/volume_loss"] = np.array(loss)
-    problem.processes.on_root(lambda: results.write_checkpoint(path, fingerprint, arrays))
+    problem.processes.on_root(lambda: checkpoints.write_checkpoint(path, fingerprint, arrays))
 
 
 def _restore(problem, path: Path, fingerprint: str, outputs) -> _State:
     processes, arrays = problem.processes, {}
-    processes.on_root(lambda: arrays.update(results.read_checkpoint(path, fingerprint)))
+    processes.on_root(lambda: arrays.update(checkpoints.read_checkpoint(path, fingerprint)))
 
     def field_of(name: str) -> np.ndarray:
         return problem.sum.pad(processes.scatter(arrays.get(name)))

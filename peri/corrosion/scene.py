@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import functools
-import itertools
 import math
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from peri.corrosion.kinetics import ConstantRate
-from peri.influence import Stencil, diffusion_stencil
-from peri.lattice import Lattice
+from peri.engine.cells import hand_over
+from peri.engine.influence import Stencil, diffusion_stencil
+from peri.engine.lattice import Lattice
 
 BOUNDARIES = ("refreshed", "no_flux")
 FLUX_CALIBRATIONS = ("isotropic", "axis")
@@ -178,13 +178,13 @@ class CorrosionScene:
             return self.domain.astype(float)
         metal, liquid = self.metal, self.domain & ~self.metal
         share = np.where(self.domain, self.metal_fraction, 0.0)
-        out = np.where(metal, share, 0.0) + _hand_over(np.where(liquid, share, 0.0), metal)
+        out = np.where(metal, share, 0.0) + hand_over(np.where(liquid, share, 0.0), metal)
         total = share.sum()
         if metal.any() and total > 0:
             out = np.where(metal, np.maximum(out, 0.05), 0.0)
             out *= total / out.sum()
         rest = np.where(self.domain, 1.0 - share, 0.0)
-        return out + np.where(liquid, rest, 0.0) + _hand_over(np.where(metal, rest, 0.0), liquid)
+        return out + np.where(liquid, rest, 0.0) + hand_over(np.where(metal, rest, 0.0), liquid)
 
 
 def front_strength(stencil: Stencil, flux_calibration: str) -> float:
@@ -197,51 +197,3 @@ def front_strength(stencil: Stencil, flux_calibration: str) -> float:
 def _check_positive(name: str, value: float) -> None:
     if not (math.isfinite(value) and value > 0):
         raise ValueError(f"{name}: {value}; it must be finite and positive")
-
-
-def _hand_over(amount: np.ndarray, receiver: np.ndarray) -> np.ndarray:
-    """Split each cell's amount evenly over its nearest receiving neighbours (faces, then all)."""
-    out = np.zeros_like(amount)
-    window = around(amount != 0)
-    if window is not None:
-        out[window] = _hand_over_everywhere(amount[window], receiver[window])
-    return out
-
-
-def around(cells: np.ndarray) -> tuple[slice, ...] | None:
-    """The part of a box that holds the marked cells and their neighbours; None without any."""
-    window = []
-    for a in range(cells.ndim):
-        marked = np.flatnonzero(cells.any(axis=tuple(b for b in range(cells.ndim) if b != a)))
-        if not marked.size:
-            return None
-        window.append(slice(max(0, marked[0] - 1), marked[-1] + 2))
-    return tuple(window)
-
-
-def _hand_over_everywhere(amount: np.ndarray, receiver: np.ndarray) -> np.ndarray:
-    out = np.zeros_like(amount)
-    d = amount.ndim
-    moves = [m for m in itertools.product((-1, 0, 1), repeat=d) if any(m)]
-    left = amount
-    for ring in ([m for m in moves if sum(map(abs, m)) == 1], moves):
-        shifted = [_shift(receiver.astype(float), m) for m in ring]
-        count = sum(shifted)
-        each = np.where(count > 0, left / np.maximum(count, 1), 0.0)
-        for m, has in zip(ring, shifted, strict=True):
-            out += _shift(each * has, tuple(-v for v in m))
-        left = np.where(count > 0, 0.0, left)
-        if not left.any():
-            break
-    return out
-
-
-def _shift(values: np.ndarray, move: tuple[int, ...]) -> np.ndarray:
-    """out[i] = values[i + move], zero from outside."""
-    out = np.zeros_like(values)
-    target, source = [], []
-    for m, n in zip(move, values.shape, strict=True):
-        target.append(slice(max(0, -m), n - max(0, m)))
-        source.append(slice(max(0, m), n - max(0, -m)))
-    out[tuple(target)] = values[tuple(source)]
-    return out

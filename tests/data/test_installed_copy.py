@@ -55,10 +55,11 @@ def test_every_module_of_the_checkout_is_installed(installed: Path, package: str
     assert {path for path in modules if not (installed / path).exists()} == set()
 
 
-def test_every_file_of_the_report_is_installed(installed: Path) -> None:
-    templates = {path.relative_to(ROOT) for path in (ROOT / "pipeline/templates").glob("*")}
-    assert len(templates) >= 1
-    assert {path for path in templates if not (installed / path).exists()} == set()
+@pytest.mark.parametrize("files", ["pipeline/report/templates/*", "pipeline/scene/*.toml"])
+def test_the_files_beside_the_modules_are_installed(installed: Path, files: str) -> None:
+    found = {path.relative_to(ROOT) for path in ROOT.glob(files)}
+    assert len(found) >= 1
+    assert {path for path in found if not (installed / path).exists()} == set()
 
 
 def test_the_copy_reads_its_own_data(installed: Path, tmp_path: Path) -> None:

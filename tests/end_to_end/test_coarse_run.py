@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.corrosion_stage import CHECKPOINT_FILE, corrode_in_folder
-from pipeline.geometry_stage import write_geometry
-from pipeline.options import add_scene_options, scene_from_options
-from pipeline.summary import read_summary
+from pipeline.record.summary import read_summary
+from pipeline.scene.options import add_scene_options, scene_from_options
+from pipeline.stages.corrosion import CHECKPOINT_FILE, corrode_in_folder
+from pipeline.stages.geometry import write_geometry
 
 pytest.importorskip("dolfinx", reason="the tensile test needs dolfinx")
 

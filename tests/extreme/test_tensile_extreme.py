@@ -11,7 +11,7 @@ from fem.constitutive import Material, VoceHardening
 from fem.constitutive.gurson import LIMIT
 from fem.patches import face_pairs
 from fem.quadrature import quadrature_points
-from fem.tensile_test import TensileSettings, tensile_test
+from fem.strength import TensileSettings, tensile_test
 from tests.fem.meshes import box, distorted_box, round_bar
 
 LAW = VoceHardening(130e6, 156e6, 10.6)

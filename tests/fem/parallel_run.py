@@ -7,7 +7,7 @@ from mpi4py import MPI
 
 from fem.constitutive import Material, VoceHardening
 from fem.constitutive.hardening import TabulatedHardening
-from fem.tensile_test import TensileSettings, tensile_test
+from fem.strength import TensileSettings, tensile_test
 from tests.fem.meshes import round_bar
 
 if __name__ == "__main__":

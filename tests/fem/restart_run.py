@@ -9,7 +9,7 @@ from mpi4py import MPI
 from fem.constitutive import Material, VoceHardening
 from fem.constitutive.gurson import LIMIT
 from fem.results import Checkpoint
-from fem.tensile_test import TensileSettings, tensile_test
+from fem.strength import TensileSettings, tensile_test
 from tests.fem.meshes import round_bar
 
 MATERIAL = Material(43e9, 0.3, VoceHardening(130e6, 156e6, 10.6))

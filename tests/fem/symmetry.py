@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import fem.preparation
-import fem.tensile_test as module
+import fem.strength as module
 
 
 def hold_planes(monkeypatch, *planes) -> None:

@@ -7,7 +7,7 @@ pytest.importorskip("dolfinx")
 
 from fem.constitutive import Material, VoceHardening
 from fem.solid import Grips, Held, guide_vertices
-from fem.tensile_test import TensileSettings, tensile_test
+from fem.strength import TensileSettings, tensile_test
 from tests.fem import calculix, test_necking
 
 pytestmark = [
@@ -20,7 +20,7 @@ pytestmark = [
 
 def test_tensile_test_of_the_intact_screw(tmp_path):
     """Force-elongation curve on one mesh of ten-node cells, gripped as in a run, to 3 %."""
-    from pipeline.geometry import ScrewParameters, screw_solid, tetrahedral_mesh
+    from pipeline.geometry.solids import ScrewParameters, screw_solid, tetrahedral_mesh
 
     parameters = ScrewParameters(pitch=0.4e-3)
     mesh = tetrahedral_mesh(screw_solid(parameters), 0.5e-3, 0.35e-3)

@@ -5,7 +5,7 @@ import pytest
 
 from fem.constitutive import Material, VoceHardening
 from fem.damage_length import DamageLength
-from fem.tensile_test import TensileSettings, tensile_test
+from fem.strength import TensileSettings, tensile_test
 from tests.fem.meshes import box
 
 MAGNESIUM = Material(43e9, 0.3, VoceHardening(130e6, 156e6, 10.6))

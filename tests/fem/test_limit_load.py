@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("dolfinx")
 
 from fem.constitutive import Material, VoceHardening
-from fem.tensile_test import TensileSettings, tensile_test
+from fem.strength import TensileSettings, tensile_test
 from tests.fem.meshes import box
 from tests.fem.symmetry import hold_planes
 

@@ -11,7 +11,7 @@ from fem.constitutive import Material, VoceHardening
 from fem.loading import make_load
 from fem.results import Checkpoint
 from fem.solid import Grips, Held
-from fem.tensile_test import TensileSettings, tensile_test
+from fem.strength import TensileSettings, tensile_test
 from tests.fem.meshes import box, round_bar
 
 RADIUS, LENGTH = 1e-3, 4e-3

@@ -14,7 +14,7 @@ pytest.importorskip("dolfinx")
 
 from fem.constitutive import Material, VoceHardening
 from fem.constitutive.hardening import flow_stress
-from fem.tensile_test import TensileSettings, tensile_test
+from fem.strength import TensileSettings, tensile_test
 from tests.fem.meshes import quarter_bar
 from tests.fem.symmetry import hold_planes
 

@@ -12,7 +12,7 @@ import pytest
 pytest.importorskip("dolfinx")
 
 from fem.results import Checkpoint, ParaviewSeries
-from fem.tensile_test import TensileSettings, tensile_test
+from fem.strength import TensileSettings, tensile_test
 from tests.fem.meshes import box
 from tests.fem.restart_run import MATERIAL, Interrupted, run, scene
 

@@ -7,13 +7,13 @@ import pytest
 
 pytest.importorskip("dolfinx")
 
-from fem import tensile_test as module
+from fem import strength as module
 from fem.constitutive import Material, VoceHardening
 from fem.constitutive.laws import Laws
 from fem.preparation import whole_mesh
 from fem.results import Checkpoint
+from fem.strength import TensileSettings, tensile_test
 from fem.tearing import STRENGTH_LEFT, STRETCH, STRETCH_ANY, torn_cells
-from fem.tensile_test import TensileSettings, tensile_test
 from tests.fem.meshes import distorted_box, round_bar
 
 MAGNESIUM = Material(43e9, 0.3, VoceHardening(130e6, 156e6, 10.6))

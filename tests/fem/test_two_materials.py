@@ -10,7 +10,7 @@ from fem.constitutive import Material, VoceHardening
 from fem.constitutive.hardening import TabulatedHardening
 from fem.patches import make_patches, sound_patches
 from fem.results import Checkpoint
-from fem.tensile_test import TensileSettings, tensile_test
+from fem.strength import TensileSettings, tensile_test
 from tests.fem.meshes import box, round_bar
 
 MAGNESIUM = Material(43e9, 0.3, VoceHardening(130e6, 156e6, 10.6))

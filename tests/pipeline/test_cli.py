@@ -13,16 +13,18 @@ import numpy as np
 import pytest
 
 import perilife_data
-from pipeline import corrosion_stage, interruption, machine, provenance
-from pipeline.bench import BENCHMARKS, Benchmark, Result
+from pipeline.benches.registry import BENCHMARKS, Benchmark, Result
 from pipeline.cli import main, sentence
-from pipeline.opening import open_run
-from pipeline.options import add_scene_options, scene_from_options
-from pipeline.rate_law import KINETICS
-from pipeline.resolution import RESOLUTIONS
-from pipeline.run_folder import RunFolder
-from pipeline.scene import DISSOLUTION_LAWS, OMITTABLE, scene_from_json
-from tests.pipeline.solids import coarse_mesh
+from pipeline.record import interruption, machine
+from pipeline.record.run_folder import RunFolder
+from pipeline.report import provenance
+from pipeline.scene.options import add_scene_options, scene_from_options
+from pipeline.scene.rate_law import KINETICS
+from pipeline.scene.resolution import RESOLUTIONS
+from pipeline.scene.scene import DISSOLUTION_LAWS, OMITTABLE, scene_from_json
+from pipeline.stages import corrosion as corrosion_stage
+from pipeline.stages.opening import open_run
+from tests.pipeline.geometry.solids import coarse_mesh
 
 PIN = ["--thread", "none"]  # a plain pin: its solid takes a tenth of a second
 COARSE = ["--spacing", "300um", "--horizon", "600um", "--radial-margin", "1mm"]

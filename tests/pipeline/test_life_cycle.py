@@ -12,9 +12,11 @@ import pytest
 
 from pipeline import life_cycle
 from pipeline.life_cycle import LifeCycle
-from pipeline.progress import LineProgress
-from pipeline.run_folder import RunFolder, RunFolderError, StageRecord, write_text
-from pipeline.scene import (
+from pipeline.record.progress import LineProgress
+from pipeline.record.run_folder import RunFolder, RunFolderError, StageRecord, write_text
+from pipeline.record.stage_hashes import STAGE_REVISION
+from pipeline.record.summary import read_summary
+from pipeline.scene.scene import (
     AlloyScene,
     CorrosionParameters,
     CorrosionSettings,
@@ -26,10 +28,8 @@ from pipeline.scene import (
     ScrewGeometry,
     TensileScene,
 )
-from pipeline.stage_hashes import STAGE_REVISION
-from pipeline.summary import read_summary
-from pipeline.tensile_stage import TensileJob, TensileStageError, run_jobs
-from pipeline.units import parse_immersion_times
+from pipeline.scene.units import parse_immersion_times
+from pipeline.stages.strength import TensileJob, TensileStageError, run_jobs
 
 FORCES = {"0w": 400.0, "1w": 300.0, "8w": 0.0}
 
@@ -91,11 +91,11 @@ def calls(monkeypatch) -> list[str]:
         write_text(folder / "report.html", "report")
         return folder / "report.html"
 
-    monkeypatch.setattr("pipeline.geometry_stage.write_geometry", geometry)
-    monkeypatch.setattr("pipeline.corrosion_stage.corrode_in_folder", corrode)
-    monkeypatch.setattr("pipeline.map_stage.map_in_folder", map_damage)
+    monkeypatch.setattr("pipeline.stages.geometry.write_geometry", geometry)
+    monkeypatch.setattr("pipeline.stages.corrosion.corrode_in_folder", corrode)
+    monkeypatch.setattr("pipeline.stages.mapping.map_in_folder", map_damage)
     monkeypatch.setattr(life_cycle, "run_jobs", pulls)
-    monkeypatch.setattr("pipeline.report.write_report", report)
+    monkeypatch.setattr("pipeline.report.report.write_report", report)
     return made
 
 
@@ -178,7 +178,7 @@ def test_an_interrupted_stage_is_not_complete(tmp_path, calls, monkeypatch):
     cycle = LifeCycle(scene, tmp_path)
     cycle.geometry()
     with monkeypatch.context() as patch:
-        patch.setattr("pipeline.corrosion_stage.corrode_in_folder", interrupted)
+        patch.setattr("pipeline.stages.corrosion.corrode_in_folder", interrupted)
         with pytest.raises(KeyboardInterrupt):
             cycle.corrode("Mg-A")
     with pytest.raises(RunFolderError, match="`perilife corrode`"):
@@ -230,7 +230,7 @@ def _job(out: Path, scene: Scene) -> TensileJob:
 def _child(monkeypatch, code: str) -> None:
     """Let every tensile job be a small Python program instead."""
     command = [sys.executable, "-c", code]
-    monkeypatch.setattr("pipeline.tensile_stage._launcher", lambda ranks: command)
+    monkeypatch.setattr("pipeline.stages.strength._launcher", lambda ranks: command)
 
 
 def test_a_job_survives_its_file(tmp_path):

@@ -6,7 +6,7 @@ from scipy.integrate import solve_ivp
 from peri.corrosion.bimaterial import BiMaterial
 from peri.corrosion.kinetics import VolumeLossLaw
 from peri.corrosion.scene import CorrosionScene
-from peri.lattice import ball, box_lattice
+from peri.engine.lattice import ball, box_lattice
 
 WEEK = 7 * 86400.0
 

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy.integrate import trapezoid
 
-from peri.corrosion import rates
 from peri.corrosion.kinetics import ConstantRate, VolumeLossLaw
-from peri.corrosion.planning import LIQUID, plan_omissions
 from peri.corrosion.run import corrode
 from peri.corrosion.scene import CorrosionScene
-from peri.corrosion.well_stirred import well_stirred
-from peri.lattice import Lattice
-from peri.marching import TimeStepping
+from peri.engine.lattice import Lattice
+from peri.engine.marching import TimeStepping
+from peri.omissions.planning import LIQUID, plan_omissions
+from peri.omissions.well_stirred import well_stirred
+from peri.reference import fronts
 from tests.peri.corrosion.scenes import WEEK, pin
 from tests.peri.corrosion.test_run import STEEL, STEFAN_LAMBDA, check_invariants
 
@@ -72,7 +72,7 @@ def test_travelling_front_with_controlled_steps(ratio, scheme):
 def test_the_proportional_law_is_slower_by_the_logarithm():
     scene = flat_front(3, dissolution="proportional", saturation_concentration=SOLID / 28)
     result = corrode(scene, [10 * LAYER, 40 * LAYER])
-    exact = rates.front_speed_ratio(scene.stencil, 28.0)
+    exact = fronts.front_speed_ratio(scene.stencil, 28.0)
     assert exact == pytest.approx(1 / np.log(28), rel=1e-4)
     # steps end where nodes turn liquid: measured 1.0017 of it with default steps
     assert speed(result, scene) * SOLID / FLUX == pytest.approx(exact, rel=5e-3)
@@ -112,7 +112,7 @@ def test_tilted_fronts_travel_with_the_strength_of_their_direction(
     lost = (first - last)[tube][order] / SOLID
     assert lost[0] == lost[-1] == 0.0 and lost.max() > 0.9
     measured = trapezoid(lost, along[tube][order]) / (6.0 * SPACING)
-    strength = rates.directional_strength(scene.stencil, normal) / scene.stencil.mean_strength()
+    strength = fronts.directional_strength(scene.stencil, normal) / scene.stencil.mean_strength()
     # measured 0.965, 1.014, 1.016 against 0.959, 1.010, 0.996 (2D, m = 4, 0, 30, 45 degrees),
     # 1.011 against 1.004 (2D, m = 8), 1.021, 1.032 against 1.013, 1.021 (3D, m = 2, 30, 45): the
     # controlled steps find the front up to 2 % fast (test_travelling_front_with_controlled_steps)

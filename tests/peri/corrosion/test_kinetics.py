@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from peri.constants import FARADAY, GAS_CONSTANT
 from peri.corrosion.kinetics import KINETICS, ButlerVolmer, ConstantRate, Tafel, VolumeLossLaw
+from peri.engine.constants import FARADAY, GAS_CONSTANT
 
 
 def test_values():

@@ -5,7 +5,7 @@ import pytest
 
 from peri.corrosion.bimaterial import BiMaterial
 from peri.corrosion.scene import CorrosionScene
-from peri.lattice import Lattice, ball, box_lattice
+from peri.engine.lattice import Lattice, ball, box_lattice
 from tests.peri.corrosion.scenes import pin
 
 LATTICE = Lattice((0.0, 0.0), (0.1, 0.1), (5, 6))

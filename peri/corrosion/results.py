@@ -1,0 +1,119 @@
+"""Files of the corrosion stage: HDF5 results, history, VTK series."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+SCHEMA_VERSION = 1
+
+_UNITS = {
+    "time": "s", "step": "s", "volume_loss": "1", "metal_amount": "mol", "liquid_amount": "mol",
+    "released_amount": "mol", "balance_error": "1", "saturated_nodes": "1",
+    "dissolved_nodes": "1", "iterations": "1",
+}
+
+
+def write_corrosion(path: Path, result) -> None:
+    """Write a CorrosionResult as HDF5 (dimensions and units as attributes)."""
+    lattice = result.scene.lattice
+    temporary = Path(path).with_name(Path(path).name + ".tmp")
+    with h5py.File(temporary, "w") as file:
+        file.attrs["schema_version"] = SCHEMA_VERSION
+        for name in ("origin", "spacing", "shape"):
+            file[f"lattice/{name}"] = np.array(getattr(lattice, name))
+        for name in ("origin", "spacing"):
+            file[f"lattice/{name}"].attrs["unit"] = "m"
+        compress = {"compression": "lzf"}
+        file.create_dataset("metal", data=result.scene.metal, **compress)
+        file.create_dataset("domain", data=result.scene.domain, **compress)
+        file.create_dataset("capacity", data=result.scene.capacity(), **compress)
+        file["times"] = result.times
+        file["times"].attrs["unit"] = "s"
+        data = file.create_dataset("concentration", data=result.concentration, **compress)
+        data.attrs["unit"] = "mol/m3"
+        data.attrs["dimensions"] = "time, " + ", ".join("xyz"[: lattice.dimension])
+        file.create_dataset("remaining_metal", data=result.metal, **compress)
+        file["volume_loss"] = result.volume_loss
+        file.attrs["solid_concentration"] = result.scene.solid_concentration
+        file.attrs["saturation_concentration"] = result.scene.saturation_concentration
+        file.attrs["wall_time"] = result.wall_time
+        for name, values in result.history.items():
+            file[f"history/{name}"] = values
+            file[f"history/{name}"].attrs["unit"] = _UNITS[name]
+    os.replace(temporary, path)
+
+
+def read_corrosion(path: Path) -> dict[str, np.ndarray]:
+    """Datasets (by path) and attributes of a file of `write_corrosion`.
+
+    Raises
+    ------
+    ValueError
+        If the file has another schema version.
+    """
+    out: dict[str, np.ndarray] = {}
+    with h5py.File(path, "r") as file:
+        if file.attrs.get("schema_version") != SCHEMA_VERSION:
+            raise ValueError(f"{path}: not a corrosion result of schema {SCHEMA_VERSION}")
+        file.visititems(
+            lambda name, item: out.__setitem__(name, item[()])
+            if isinstance(item, h5py.Dataset)
+            else None
+        )
+        out.update(file.attrs)
+    return out
+
+
+def write_history(path: Path, history: dict[str, np.ndarray]) -> None:
+    """Write the per-step history as CSV; column names carry the units."""
+    temporary = Path(path).with_name(Path(path).name + ".tmp")
+    names = list(history)
+    header = ",".join(n if _UNITS[n] == "1" else f"{n}_{_UNITS[n]}" for n in names)
+    table = np.column_stack([history[n] for n in names])
+    np.savetxt(temporary, table, delimiter=",", header=header, comments="", fmt="%.12g")
+    os.replace(temporary, path)
+
+
+def write_image_series(folder: Path, result) -> Path:
+    """Write one VTK image (.vti) per output time and the ParaView series file corrosion.pvd.
+
+    Each holds the nodes' concentration (mol/m^3), corrosion damage 1 - C/C_solid on the initial
+    metal (NaN elsewhere) and the phase (0 none, 1 liquid, 2 metal).  Written with pyvista, which
+    is needed only here.
+    """
+    import pyvista
+
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    scene = result.scene
+    lead = (1,) * (3 - scene.lattice.dimension)
+    entries = []
+    for n, time in enumerate(result.times):
+        image = pyvista.ImageData(
+            dimensions=scene.lattice.shape + lead,
+            spacing=scene.lattice.spacing + (1.0,) * len(lead),
+            origin=scene.lattice.origin + (0.0,) * len(lead),
+        )
+        values = result.concentration[n]
+        damage = np.where(scene.metal, 1.0 - values / scene.solid_concentration, np.nan)
+        phase = scene.domain.astype(np.uint8) + result.metal[n]
+        image["concentration"] = values.ravel(order="F").astype(np.float32)
+        image["corrosion_damage"] = damage.ravel(order="F").astype(np.float32)
+        image["phase"] = phase.ravel(order="F")
+        name = f"corrosion_{n:03d}.vti"
+        image.save(folder / name)
+        entries.append(f'<DataSet timestep="{time:.9g}" file="{name}"/>')
+    series = folder / "corrosion.pvd"
+    text = (
+        '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n<Collection>\n'
+        + "\n".join(entries)
+        + "\n</Collection>\n</VTKFile>\n"
+    )
+    temporary = series.with_suffix(".tmp")
+    temporary.write_text(text)
+    os.replace(temporary, series)
+    return series

@@ -1,0 +1,167 @@
+"""Geometric multigrid for the local operator of the same coefficients as a nonlocal one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from peri.engine import kernels
+
+_COARSEST_CELLS = 150
+_SMOOTHING_STEPS = 2
+
+
+class LocalMultigrid:
+    """One symmetric cycle for sink_i u_i + sum_faces t (u_i - u_j) = b_i on a box of cells.
+
+    Cells are aggregated by two along the axes of (nearly) the smallest spacing, conductances
+    are rediscretised (half the sum of the fine faces), restriction sums and prolongation is
+    piecewise constant, hence the W-cycle; Chebyshev smoothing (fourth kind), direct solution of
+    the coarsest level.
+
+    Parameters
+    ----------
+    capacity : array (nx, ny, nz)
+        Relative volume of the cells of the finest *lattice*, 0 for cells that are no unknowns.
+    sink : array (nx, ny, nz)
+        Row sums of the operator, >= 0.
+    conductance : tuple of float
+        D / dx_a^2 per axis, 1/s.
+    spacing : tuple of float
+        Cell size per axis, m.
+    coarsest_start : float or sequence
+        Cells no larger than this (m, per axis) along an axis are aggregated before the first
+        level.
+    """
+
+    def __init__(self, capacity, sink, conductance, spacing, coarsest_start=0.0) -> None:
+        t = []
+        for a in range(3):
+            face = np.zeros_like(capacity)
+            here, after = [slice(None)] * 3, [slice(None)] * 3
+            here[a], after[a] = slice(0, -1), slice(1, None)
+            face[tuple(here)] = conductance[a] * capacity[tuple(here)] * capacity[tuple(after)]
+            t.append(face)
+        self.factors = np.ones(3, np.int64)
+        before, between = coarsening_plan(sink.shape, spacing, coarsest_start)
+        for grow in before:
+            sink, t = _coarsen(sink, t, grow)
+            self.factors *= np.where(grow, 2, 1)
+        self.levels = [_Level(sink, t)]
+        self.steps = []
+        for grow in between:
+            sink, t = _coarsen(sink, t, grow)
+            self.steps.append(tuple(int(v) for v in np.where(grow, 2, 1)))
+            self.levels.append(_Level(sink, t))
+        self.levels[-1].factorise()
+
+    def restrict(self, residual: np.ndarray, reach) -> np.ndarray:
+        """Sum a padded fine-lattice residual into the right side of the first level."""
+        level = self.levels[0]
+        kernels.aggregate(residual, reach, tuple(int(f) for f in self.factors), level.b)
+        return level.b
+
+    def cycle(self, index: int = 0) -> np.ndarray:
+        """Approximate solution for the right side stored in level `index`."""
+        level = self.levels[index]
+        if index == len(self.levels) - 1:
+            return level.solve()
+        level.smooth(from_zero=True)
+        visits = 1 if index == 0 else 2
+        for _ in range(visits):
+            coarse = self.levels[index + 1]
+            level.residual()
+            kernels.aggregate(level.r, (1, 1, 1), self.steps[index], coarse.b)
+            kernels.prolong_add(self.cycle(index + 1), self.steps[index], (1, 1, 1), level.x)
+            level.smooth(from_zero=False)
+        return level.x
+
+
+def coarsening_plan(shape, spacing, coarsest_start):
+    """Which axes to aggregate by two, step by step: before the first level, between the levels.
+
+    Each step is a bool array (3,).  Between the levels only axes with (nearly) the smallest
+    spacing take part, so that couplings become equal.
+    """
+    shape, spacing = np.array(shape), np.array(spacing, float)
+    before, between = [], []
+    while (grow := (2 * spacing <= coarsest_start) & (shape > 2)).any():
+        before.append(grow)
+        shape, spacing = np.where(grow, -(-shape // 2), shape), np.where(grow, 2, 1) * spacing
+    while shape.prod() > _COARSEST_CELLS and (shape > 2).any():
+        grow = (shape > 2) & (spacing < 1.5 * spacing[shape > 2].min())
+        between.append(grow)
+        shape, spacing = np.where(grow, -(-shape // 2), shape), np.where(grow, 2, 1) * spacing
+    return before, between
+
+
+def _coarsen(sink, t, grow):
+    """Aggregate cells by two along the axes marked in `grow`."""
+
+    def pairs(values, a, combine):
+        if values.shape[a] % 2:
+            width = [(0, 0)] * 3
+            width[a] = (0, 1)
+            values = np.pad(values, width)
+        even, odd = [slice(None)] * 3, [slice(None)] * 3
+        even[a], odd[a] = slice(0, None, 2), slice(1, None, 2)
+        return combine(values[tuple(even)], values[tuple(odd)])
+
+    for a in np.flatnonzero(grow):
+        sink = pairs(sink, a, np.add)
+        t = [
+            pairs(face, a, (lambda even, odd: 0.5 * odd) if b == a else np.add)
+            for b, face in enumerate(t)
+        ]
+    return sink, t
+
+
+class _Level:
+    """Operator and work arrays of one level."""
+
+    def __init__(self, sink, t) -> None:
+        shape = tuple(n + 2 for n in sink.shape)
+        inner = (slice(1, -1),) * 3
+        self.t = []
+        self.diagonal = np.zeros(shape)
+        self.diagonal[inner] = sink
+        for a, face in enumerate(t):
+            padded = np.zeros(shape)
+            padded[inner] = face
+            self.t.append(padded)
+            self.diagonal += padded + np.roll(padded, 1, axis=a)
+        filled = self.diagonal > 0
+        self.inverse = np.where(filled, 1.0 / np.where(filled, self.diagonal, 1.0), 0.0)
+        self.x, self.b, self.d, self.r = (np.zeros(shape) for _ in range(4))
+
+    def smooth(self, from_zero: bool) -> None:
+        """Chebyshev steps of the fourth kind for the spectrum (0, 2] of the scaled operator."""
+        if from_zero:
+            self.x[:] = 0.0
+        for n in range(1, _SMOOTHING_STEPS + 1):
+            kernels.local_step(
+                self.x, self.b, *self.t, self.inverse, self.d,
+                (2 * n - 3) / (2 * n + 1) if n > 1 else 0.0,
+                (8 * n - 4) / (2 * n + 1) / 2.0,
+            )
+            kernels.add_to(self.x, self.d)
+
+    def residual(self) -> None:
+        kernels.local_residual(self.x, self.b, *self.t, self.diagonal, self.r)
+
+    def factorise(self) -> None:
+        """Dense inverse of the (small) operator."""
+        cells = np.flatnonzero(self.diagonal.ravel() > 0)
+        number = np.full(self.diagonal.size, -1)
+        number[cells] = np.arange(cells.size)
+        matrix = np.diag(self.diagonal.ravel()[cells])
+        for a, face in enumerate(self.t):
+            stride = int(np.prod(self.diagonal.shape[a + 1 :]))
+            here = np.flatnonzero(face.ravel() > 0)
+            one, two = number[here], number[here + stride]
+            matrix[one, two] -= face.ravel()[here]
+            matrix[two, one] -= face.ravel()[here]
+        self.cells, self.matrix_inverse = cells, np.linalg.inv(matrix)
+
+    def solve(self) -> np.ndarray:
+        self.x.ravel()[self.cells] = self.matrix_inverse @ self.b.ravel()[self.cells]
+        return self.x

@@ -1,0 +1,149 @@
+"""How a lattice is shared out: the hooks through which the same solvers run on one or many ranks.
+
+A rank holds a block of the lattice.  Everything outside this file works on local padded arrays
+whose ghosts hold zero, so that a sum over an array counts every node once; the nonlocal sum
+alone asks for the neighbours' values (`with_ghosts`), and every number that steers the march
+goes through `total`, `largest` or `any`.  Here they do nothing, for one process that holds the
+whole lattice; parallel/ranks.py has the same methods for MPI ranks.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+
+import numpy as np
+
+_IMBALANCE = 0.1
+"""A cut may lie this share of a block's width off its best place to suit the coarse levels."""
+
+
+class OneProcess:
+    """One process holds the whole lattice: nothing to exchange, nothing to reduce.
+
+    is_root : whether results and progress belong to this process.
+    whole : whether this process holds the whole lattice.
+    start : index of the block's first node in the whole lattice, on three axes.
+    multigrid : what replaces engine.multigrid.LocalMultigrid, or None.
+    """
+
+    is_root = True
+    whole = True
+    start = (0, 0, 0)
+    multigrid = None
+
+    def extent(self, shape: tuple[int, ...]) -> tuple[int, ...]:
+        """Nodes per axis of the whole array of which this process holds `shape`."""
+        return shape
+
+    def with_ghosts(self, values: np.ndarray, window: tuple[slice, ...] | None) -> np.ndarray:
+        """A padded field with the neighbours' values in its ghosts.
+
+        window: the part of the block that `values` covers (None: all of it); nodes outside
+        every process's window count as zero.
+        """
+        return values
+
+    def total(self, value: float) -> float:
+        """Sum over the processes."""
+        return value
+
+    def largest(self, value: float) -> float:
+        """Maximum over the processes."""
+        return value
+
+    def any(self, flag: bool) -> bool:
+        """Whether the flag holds on any process."""
+        return bool(flag)
+
+    def from_root(self, value):
+        """The root's value (any Python object)."""
+        return value
+
+    def on_root(self, action: Callable[[], object]):
+        """The result of an action that the root takes; what it raises is raised everywhere."""
+        return action()
+
+    def gather(self, values: np.ndarray) -> np.ndarray:
+        """The whole lattice's array on the root (elsewhere an empty array)."""
+        return values
+
+    def scatter(self, values: np.ndarray) -> np.ndarray:
+        """This process's block of the root's array."""
+        return values
+
+
+ONE_PROCESS = OneProcess()
+
+
+def work_per_plane(domain: np.ndarray) -> list[np.ndarray]:
+    """Nodes per plane along every axis; empty ones count a little (they are still swept over)."""
+    axes = range(domain.ndim)
+    return [
+        domain.sum(axis=tuple(b for b in axes if b != a)) + 0.1 * domain.size / domain.shape[a]
+        for a in axes
+    ]
+
+
+def share_out(work: list[np.ndarray], width: int, ranks: int) -> list[list[int]]:
+    """Cut a lattice into one block per rank: the edges of the blocks along each axis.
+
+    The cuts give every slab equal work, nearly: they are moved to the next multiple of a power
+    of two, as high as it can be, so that coarser levels of the lattice have whole cells.
+
+    Parameters
+    ----------
+    work : per axis, (n,) work of each plane of nodes
+    width : narrowest block along a divided axis
+    ranks : number of blocks
+
+    Raises
+    ------
+    ValueError
+        If there is no such cut.
+    """
+    shape = tuple(w.size for w in work)
+    best, least = None, None
+    for parts in itertools.product(range(1, ranks + 1), repeat=len(shape)):
+        if np.prod(parts) != ranks:
+            continue
+        edges = [_cut(w, p, width) for w, p in zip(work, parts, strict=True)]
+        if any(e is None for e in edges):
+            continue
+        # Nodes next to a cut; of equals, the one that keeps the rows long.
+        surface = sum((p - 1) * np.prod(shape) / n for p, n in zip(parts, shape, strict=True))
+        if best is None or (surface, parts[::-1]) < least:
+            best, least = edges, (surface, parts[::-1])
+    if best is None:
+        raise ValueError(
+            f"ranks: {ranks} for a lattice of {' x '.join(map(str, shape))} nodes; every rank's "
+            f"block must be at least as wide as the stencil reaches, {width} nodes, so use fewer"
+        )
+    return best
+
+
+def _cut(work: np.ndarray, parts: int, width: int) -> list[int] | None:
+    """Edges of `parts` slabs of equal work, at least `width` wide; None if there are none."""
+    n = work.size
+    if parts == 1:
+        return [0, n]
+    if parts * width > n:
+        return None
+    done = np.concatenate([[0.0], np.cumsum(work)])
+    ideal = np.interp(np.arange(1, parts) / parts * done[-1], done, np.arange(n + 1))
+    multiple = 1
+    while 2 * multiple <= n // parts:
+        multiple *= 2
+    while multiple:
+        edges = [0]
+        for p, place in enumerate(ideal, 1):
+            edge = multiple * round(place / multiple)
+            if multiple == 1:
+                edge = min(max(edge, edges[-1] + width), n - (parts - p) * width)
+            edges.append(edge)
+        edges.append(n)
+        off = np.abs(np.array(edges[1:-1]) - ideal).max()
+        if multiple == 1 or (np.diff(edges).min() >= width and off <= _IMBALANCE * n / parts):
+            return edges
+        multiple //= 2
+    return None

@@ -1,0 +1,294 @@
+"""What a scene need not compute, with a bound on the error of leaving it out.
+
+Every decision is taken from the scene alone, before the march.  A bound is relative to V_L and
+holds for the discrete scene as stated; tests/peri/omissions/test_planning.py compares the true
+errors with it.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt
+
+from peri.corrosion.bimaterial import BiMaterial
+from peri.corrosion.run import CorrosionResult, corrode
+from peri.corrosion.scene import CorrosionScene
+from peri.engine.marching import TimeStepping
+from peri.engine.solvers import ConvergenceError, DiffusionSystem
+from peri.omissions.bounds import arrival_bound, front_depth, least_loss, metal_at_risk
+from peri.omissions.well_stirred import well_stirred
+
+log = logging.getLogger(__name__)
+
+LIQUID = "liquid"
+SOLID_CORE = "solid_core"
+FAR_LIQUID = "far_liquid"
+COARSE_LIQUID = "coarse_liquid"
+OMISSIONS = (LIQUID, FAR_LIQUID)
+"""What may be refused; the metal's core has no unknowns in any march, coarse liquid is none yet."""
+
+DEFAULT_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True)
+class Omission:
+    """One thing that a scene could leave out.
+
+    name : how to refuse it, where OMISSIONS has it.  reason : one sentence.  bound : of the
+    relative error of V_L (infinite where it cannot be left out).  applied : whether the plan
+    leaves it out.
+    """
+
+    name: str
+    reason: str
+    bound: float
+    applied: bool
+
+
+def liquid_bound(scene: CorrosionScene, problem: BiMaterial | None = None) -> np.ndarray:
+    """An upper bound of the liquid's concentration at every node and time, mol/m^3.
+
+    The interface inflow never exceeds its first value into clean liquid (the metal only loses,
+    the kinetics only slows), and the liquid's matrix is an M-matrix, so the steady state of that
+    first inflow bounds the march, saturation left aside.  One linear solution.  `problem`: the
+    scene's, where the caller has it.
+
+    Returns
+    -------
+    array of the lattice's shape; infinite where liquid cannot reach refreshed medium.
+    """
+    problem = problem or BiMaterial(scene)
+    out = np.zeros(scene.lattice.shape)
+    if problem.box is None:
+        return out
+    unbounded = np.where(problem.sum.crop(problem.free.astype(float)) > 0, np.inf, 0.0)
+    rate = problem.base_diffusivity * scene.kinetics.factor(0.0)
+    if rate == 0:
+        return out
+    if not problem.fixed.any():
+        return unbounded
+    seen = problem.box(problem.box_metal_volume)
+    inflow = np.zeros(problem.sum.padded_shape)
+    inflow[problem.window] = (
+        problem.box_free_volume * rate * scene.solid_concentration * seen
+    )[problem.box.interior]
+    weight = np.where(problem.free, problem.capacity, 0.0)
+    diagonal = scene.liquid_diffusivity * problem.neighbour_liquid
+    fixed_share = problem.sum(np.where(problem.fixed, problem.capacity, 0.0))
+    sink = weight * scene.liquid_diffusivity * fixed_share
+    system = DiffusionSystem(problem.sum, weight, diagonal, scene.liquid_diffusivity, sink)
+    steady = np.zeros(problem.sum.padded_shape)
+    norm = float(np.linalg.norm(inflow))
+    try:
+        system.solve(steady, inflow, 1e-8 * norm)
+    except ConvergenceError as error:
+        log.info("no bound for the liquid: %s", error)
+        return unbounded
+    # The factor covers the linear solver's tolerance.
+    return 1.0001 * np.maximum(problem.sum.crop(steady), 0.0)
+
+
+def plan_omissions(
+    scene: CorrosionScene,
+    end_time: float,
+    tolerance: float = DEFAULT_TOLERANCE,
+    refused: Collection[str] = (),
+) -> list[Omission]:
+    """What the march to `end_time` (s) can leave out within `tolerance` of V_L.
+
+    Raises
+    ------
+    ValueError
+        For a tolerance outside [0, 1) or an unknown name in `refused`.
+    """
+    return _plan(scene, BiMaterial(scene), end_time, tolerance, refused)[0]
+
+
+def _plan(
+    scene: CorrosionScene,
+    problem: BiMaterial,
+    end_time: float,
+    tolerance: float,
+    refused: Collection[str],
+) -> tuple[list[Omission], np.ndarray]:
+    """The omissions, and the domain without the liquid that they leave out."""
+    if not 0 <= tolerance < 1:
+        raise ValueError(f"tolerance: {tolerance}; it must be from 0 to below 1")
+    unknown = set(refused) - set(OMISSIONS)
+    if unknown:
+        raise ValueError(f"refused: {sorted(unknown)}; known: {', '.join(OMISSIONS)}")
+    distance = distance_transform_edt(~scene.metal, sampling=scene.lattice.spacing)
+    far, domain = _far_liquid(scene, problem, distance, end_time, tolerance, refused)
+    liquid = _liquid(scene, problem, end_time, tolerance, refused)
+    return [_solid_core(scene, end_time), liquid, far, _coarse_liquid(scene, distance)], domain
+
+
+def _solid_core(scene: CorrosionScene, end_time: float) -> Omission:
+    count = int(scene.metal.sum())
+    reason = (
+        f"diffusion between the {count} metal nodes is not part of the model, so each one is "
+        "eliminated exactly and takes no unknown"
+    )
+    if not _speeds_up(scene):
+        risk = int(metal_at_risk(scene, end_time).sum())
+        depth = 1e6 * front_depth(scene, end_time)
+        reason += (
+            f"; {count - risk} of them cannot lose anything by the end, when dissolution has "
+            f"reached at most {depth:.3g} um deep"
+        )
+    return Omission(SOLID_CORE, reason, 0.0, True)
+
+
+def _speeds_up(scene: CorrosionScene) -> bool:
+    factors = [scene.kinetics.factor(v) for v in np.linspace(0.0, 1.0, 101)]
+    return bool(np.any(np.diff(factors) > 0))
+
+
+def _coarse_liquid(scene: CorrosionScene, distance: np.ndarray) -> Omission:
+    """Never left out; says what a lattice of two spacings would save."""
+    reason = "not offered: there are no lattices of two spacings, liquid is as fine as the metal"
+    if scene.metal.any():
+        away = scene.domain & (distance > 2.0 * float(np.max(scene.horizon)))
+        nodes, count = int(scene.domain.sum()), int(away.sum())
+        left = 1.0 - count / nodes * (1.0 - 0.5**scene.lattice.dimension)
+        reason += (
+            f"; {count} nodes are liquid farther than two horizons from the metal, and twice as "
+            f"coarse there it would have {100 * left:.0f} % of its nodes"
+        )
+    return Omission(COARSE_LIQUID, reason, math.inf, False)
+
+
+def _far_liquid(
+    scene, problem, distance, end_time, tolerance, refused
+) -> tuple[Omission, np.ndarray]:
+    """Liquid that too little solute reaches by the end; also the domain without it.
+
+    Cutting at a distance a changes the amounts by at most what gets there: with C the highest
+    concentration in the liquid and p = arrival_bound(a), C p (t D sum w per node next to the cut
+    + 1 per node beyond it), relative to the least that the metal loses.
+    """
+    if scene.boundary != "refreshed":
+        return _far_needed("a closed edge sends solute back, and there is no bound"), scene.domain
+    liquid = scene.domain & ~scene.metal
+    highest = scene.saturation_concentration
+    if scene.saturation != "complementarity":
+        highest = scene.solid_concentration
+    least = 0.0 if _speeds_up(scene) else least_loss(scene, end_time, problem)
+    reach = float(np.max(np.multiply(scene.stencil.reach, scene.stencil.spacing)))
+    if not least > 0 or not liquid.any() or not scene.metal.any():
+        return _far_needed("there is no bound of what the metal loses at least"), scene.domain
+    volume = scene.capacity()
+    scale = least * float(volume[scene.metal].sum()) * scene.solid_concentration
+    shell = np.ceil(distance[liquid] / reach - 1e-9).astype(np.int64)
+    contents_of = np.bincount(shell, weights=volume[liquid])
+    exchange = end_time * scene.liquid_diffusivity * scene.stencil.total
+    bound = math.inf
+    for n in range(3, int(distance[liquid].max() // reach)):
+        cut = n * reach
+        # Sources end a horizon from the metal (and one more for cells that hold more than one
+        # volume); the nodes of the new edge begin a horizon before it.
+        share = arrival_bound(scene, cut - 3.0 * reach, end_time)
+        contents = float(contents_of[n + 1 :].sum() + exchange * contents_of[n])
+        bound = highest * share * contents / scale
+        if bound <= tolerance:
+            beyond = np.zeros_like(liquid)
+            beyond[liquid] = shell > n
+            omission = Omission(
+                FAR_LIQUID,
+                f"{int(beyond.sum())} of {int(liquid.sum())} liquid nodes are farther than "
+                f"{1e6 * cut:.3g} um from the metal, where at most {share:.1e} of the highest "
+                "concentration arrives by the end: what lies there, refreshed or not, is left out",
+                bound,
+                FAR_LIQUID not in refused,
+            )
+            return omission, scene.domain & ~beyond
+    reason = "solute may reach the domain's edge by the end"
+    return _far_needed(reason), scene.domain
+
+
+def _far_needed(reason: str) -> Omission:
+    return Omission(FAR_LIQUID, f"needed: {reason}", math.inf, False)
+
+
+def _liquid(scene, problem, end_time, tolerance, refused) -> Omission:
+    """Clean liquid instead of a computed one.
+
+    In stretched time ds = g dt, C_i' = -lambda_i (C_i - mean of C_liquid), so with
+    eps = max C_liquid / C_solid each node's loss differs by at most the share eps; a kinetics
+    that only slows with V_L keeps V_L(t) within eps / (1 - eps) of the clean-liquid value.
+    """
+    if scene.dissolution != "proportional":
+        return Omission(
+            LIQUID, "needed: a front that moves at a given flux is marched", math.inf, False
+        )
+    if _speeds_up(scene):
+        return Omission(LIQUID, "needed: the kinetics speeds up with volume loss", math.inf, False)
+    bound = liquid_bound(scene, problem)
+    reach = bound[scene.domain & ~scene.metal].max(initial=0.0)
+    if not np.isfinite(reach):
+        return Omission(
+            LIQUID,
+            "needed: some liquid cannot reach refreshed medium and fills up",
+            math.inf,
+            False,
+        )
+    if reach >= scene.saturation_concentration and scene.saturation != "none":
+        return Omission(
+            LIQUID,
+            f"needed: its concentration may reach {reach:.3g} mol/m3, at or above saturation "
+            f"({scene.saturation_concentration:.3g})",
+            math.inf,
+            False,
+        )
+    epsilon = reach / scene.solid_concentration
+    error = epsilon / (1.0 - epsilon) if epsilon < 1 else math.inf
+    reduced = well_stirred(scene, [end_time], problem=problem)
+    lost = int((scene.metal & ~reduced.metal[-1]).sum())
+    if lost:
+        return Omission(
+            LIQUID,
+            f"needed: {lost} metal nodes turn liquid by the end and expose others",
+            math.inf,
+            False,
+        )
+    return Omission(
+        LIQUID,
+        f"its concentration stays below {reach:.3g} mol/m3, {epsilon:.1e} of the solid's and "
+        f"below saturation ({scene.saturation_concentration:.3g}), and no metal node dissolves: "
+        "clean liquid, one scalar equation",
+        error,
+        error <= tolerance and LIQUID not in refused,
+    )
+
+
+def corrode_lean(
+    scene: CorrosionScene,
+    times: Sequence[float],
+    stepping: TimeStepping | None = None,
+    *,
+    tolerance: float = DEFAULT_TOLERANCE,
+    refused: Collection[str] = (),
+    progress: Callable[[float, str], None] | None = None,
+    checkpoint: Path | None = None,
+    resume: bool = False,
+    **march,
+) -> tuple[CorrosionResult, list[Omission]]:
+    """`corrode` without what the scene does not need; also returns what was left out."""
+    problem = BiMaterial(scene)
+    omissions, domain = _plan(scene, problem, float(np.max(times)), tolerance, refused)
+    if any(o.name == LIQUID and o.applied for o in omissions):
+        return well_stirred(scene, times, problem=problem), omissions
+    del problem  # its arrays; the march has its own
+    marched = scene
+    if any(o.name == FAR_LIQUID and o.applied for o in omissions):
+        marched = replace(scene, domain=domain)
+    result = corrode(
+        marched, times, stepping, progress=progress, checkpoint=checkpoint, resume=resume, **march
+    )
+    return replace(result, scene=scene), omissions

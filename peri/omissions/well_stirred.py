@@ -1,0 +1,155 @@
+"""The well-stirred limit: clean liquid, one scalar equation, exact in space.
+
+Where the liquid stays far below C_sat and C_solid, a metal node obeys C_i' = -lambda_i g(V_L) C_i
+with lambda_i its interface bond sum, so C_i = C_solid exp(-lambda_i s) and s' = g(V_L(s)): the
+whole problem is one ordinary differential equation.  It serves as an oracle for every solver, and
+in place of the march where a bound on the liquid's concentration allows it (corrosion.planning).
+"""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+
+from peri.corrosion.bimaterial import BiMaterial
+from peri.corrosion.run import HISTORY, CorrosionResult
+from peri.corrosion.scene import CorrosionScene
+from peri.engine.marching import GAMMA
+
+
+def well_stirred(
+    scene: CorrosionScene,
+    times: Sequence[float],
+    tolerance: float = 1e-10,
+    problem: BiMaterial | None = None,
+) -> CorrosionResult:
+    """Corrode a scene as if all liquid were clean.
+
+    Valid until the first metal node falls below C_sat; nodes that do turn liquid are treated as
+    metal for the bonds of others (their own loss goes on), which `planning` bounds.
+
+    Parameters
+    ----------
+    scene : CorrosionScene
+        Saturation and liquid diffusivity play no part.
+    times : sequence of float
+        s, ascending, >= 0.
+    tolerance : float
+        Relative tolerance of the scalar equation.
+    problem : BiMaterial, optional
+        The scene's, as it was before any step, where the caller has it.
+
+    Returns
+    -------
+    CorrosionResult
+        Liquid concentrations are 0; history has a hundred even times and the output times.
+    """
+    _refuse_other_laws(scene)
+    started = clock.perf_counter()
+    times = np.asarray(times, float)
+    rates, levels, weights, volumes = _classes(scene, problem)
+    solid, saturated = scene.solid_concentration, scene.saturation_concentration
+    scale = volumes.sum() * (solid - saturated)
+
+    def loss(s: float) -> float:
+        """V_L as a function of the stretched time s."""
+        if scale == 0:
+            return 0.0
+        return min(1.0, solid * float(weights @ -np.expm1(-levels * s)) / scale)
+
+    fastest = levels.max(initial=0.0) * scene.kinetics.factor(0.0)
+    moments = np.union1d(np.linspace(0.0, times[-1], 101), times)
+    stretched = np.zeros(moments.size)
+    if fastest > 0 and times[-1] > 0:
+        solution = solve_ivp(
+            lambda t, s: [scene.kinetics.factor(loss(s[0]))],
+            (0.0, times[-1]),
+            [0.0],
+            method="DOP853",
+            t_eval=moments,
+            rtol=tolerance,
+            atol=tolerance / fastest,
+        )
+        stretched = solution.y[0]
+    concentration = np.zeros((times.size, *scene.lattice.shape))
+    for n, s in enumerate(stretched[np.searchsorted(moments, times)]):
+        concentration[n][scene.metal] = solid * np.exp(-rates * s)
+    history_loss = np.array([loss(s) for s in stretched])
+    losses = history_loss[np.searchsorted(moments, times)]
+    metal = concentration >= saturated
+    initial = scene.lattice.cell_volume * volumes.sum() * solid
+    dissolved = [solid * float(weights @ -np.expm1(-levels * s)) for s in stretched]
+    released = scene.lattice.cell_volume * np.array(dissolved)
+    history = {name: np.zeros(moments.size) for name in HISTORY}
+    history.update(
+        time=moments,
+        step=np.diff(moments, prepend=0.0),
+        volume_loss=history_loss,
+        metal_amount=initial - released,
+        released_amount=released,
+    )
+    return CorrosionResult(
+        scene, times, concentration, metal, losses, history, clock.perf_counter() - started
+    )
+
+
+def clean_march(
+    scene: CorrosionScene, steps: Sequence[float], problem: BiMaterial | None = None
+) -> np.ndarray:
+    """V_L after each of the SDIRK2 steps given (s), as if all liquid were clean.
+
+    The difference to `run.corrode` with the same steps (its history["step"]) is what the liquid
+    does, free of the error in time; the difference to `well_stirred` is that error alone.
+    Valid as there, and while every step of the march was of second order.
+    """
+    _refuse_other_laws(scene)
+    _, levels, weights, volumes = _classes(scene, problem)
+    solid, saturated = scene.solid_concentration, scene.saturation_concentration
+    total = volumes.sum() * (solid - saturated)
+    never = (volumes.sum() - weights.sum()) * (solid - saturated)  # what sees no liquid
+
+    def stage(right: np.ndarray, tau: float) -> np.ndarray:
+        """Y = right - tau lambda g(V_L(Y)) Y."""
+
+        def after(loss: float) -> np.ndarray:
+            return right / (1.0 + tau * levels * scene.kinetics.factor(loss))
+
+        def excess(loss: float) -> float:
+            left = never + float(weights @ np.maximum(after(loss) - saturated, 0.0))
+            return 1.0 - left / total - loss
+
+        # The loss falls as V_L grows in the kinetics, so the root is the only one.
+        return after(brentq(excess, 0.0, 1.0, xtol=1e-15, rtol=1e-14))
+
+    concentration, losses = np.full(levels.size, solid), []
+    for step in steps:
+        first = stage(concentration, GAMMA * step)
+        slope = (first - concentration) / GAMMA
+        concentration = stage(concentration + (1.0 - GAMMA) * slope, GAMMA * step)
+        losses.append(1.0 - (never + float(weights @ (concentration - saturated))) / total)
+    return np.array(losses)
+
+
+def _refuse_other_laws(scene: CorrosionScene) -> None:
+    if scene.dissolution != "proportional":
+        raise ValueError(
+            f"dissolution: {scene.dissolution!r}; clean liquid reduces to one equation for "
+            "'proportional' only"
+        )
+
+
+def _classes(scene: CorrosionScene, problem: BiMaterial | None):
+    """Rates (1/s) and volumes of the metal nodes, and the classes of one rate with their volumes.
+
+    Nodes of (nearly) one rate form one class, so that sums run over classes, exactly.
+    Returns rates, levels, weights, volumes; levels and weights are those of exposed nodes.
+    """
+    rates = (problem or BiMaterial(scene)).metal_rates()[scene.metal]
+    volumes = scene.capacity()[scene.metal]
+    exposed = rates > 0
+    levels, member = np.unique(rates[exposed], return_inverse=True)
+    return rates, levels, np.bincount(member, volumes[exposed], levels.size), volumes

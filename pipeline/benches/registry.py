@@ -1,0 +1,153 @@
+"""Benchmarks: a registry of named measurements, each giving quantities with value and target.
+
+A newcomer adds one by writing a function that returns `Result`s and naming it in BENCHMARKS.
+"""
+
+import os
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from pipeline.benches import corrosion as bench_corrosion
+from pipeline.benches import tensile as bench_tensile
+from pipeline.benches.result import Result
+from pipeline.record import machine
+from pipeline.record.progress import Progress
+
+ALLOYS = ["Mg-5Gd", "Mg-10Gd"]
+TIMES = ["0w", "1w", "2w", "4w", "8w", "24w"]
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """A named measurement; small: the same in seconds, to see that it works."""
+
+    description: str
+    measure: Callable[[], list[Result]]
+    small: Callable[[], list[Result]] | None = None
+
+
+def run_benchmark(name: str, small: bool = False) -> dict[str, object]:
+    """Run one benchmark; returns {"name", "small", "machine", "load", "results"}.
+
+    small: its version of a few seconds, for those that have one.  load: of the machine before
+    it began, in busy cores; times mean little above a few tenths.
+
+    Raises ValueError that names the known ones.
+    """
+    if name not in BENCHMARKS:
+        known = ", ".join(BENCHMARKS)
+        raise ValueError(f"benchmark '{name}' is not known; it must be one of {known}")
+    benchmark = BENCHMARKS[name]
+    if small and benchmark.small is None:
+        known = ", ".join(n for n, b in BENCHMARKS.items() if b.small)
+        raise ValueError(f"benchmark '{name}' has no small version; those that have are {known}")
+    load = os.getloadavg()[0]
+    results = benchmark.small() if small else benchmark.measure()
+    return {
+        "name": name,
+        "small": small,
+        "load": load,
+        "machine": machine.describe_machine(),
+        "results": [asdict(result) for result in results],
+    }
+
+
+def print_result(result: dict) -> None:
+    """Print the object of `run_benchmark` as a table."""
+    from rich.console import Console
+    from rich.table import Table
+
+    machine_used = result["machine"]
+    title = f"{result['name']} on {machine_used['processor']}, {machine_used['cores']} cores"
+    table = Table(title=title)
+    for column in ("quantity", "value", "unit", "target"):
+        table.add_column(column, justify="right" if column == "value" else "left")
+    for row in result["results"]:
+        table.add_row(row["quantity"], f"{row['value']:.5g}", row["unit"], row["target"] or "")
+    Console().print(table)
+
+
+def quick_stages() -> list[Result]:
+    """The stages of the quick run of both alloys, 0 to 24 weeks, in a temporary folder."""
+    from pipeline.life_cycle import LifeCycle, run_life_cycle
+    from pipeline.scene.resolve import resolve_scene
+
+    scene = resolve_scene(ALLOYS, TIMES, "quick")
+    with tempfile.TemporaryDirectory(prefix="perilife-bench-") as place:
+        clock = _StageClock()
+        rows = run_life_cycle(scene, Path(place), progress=clock)
+        cycle = LifeCycle(scene, Path(place))
+        results = [
+            Result(f"{stage} time", seconds, "s", None) for stage, seconds in clock.stages.items()
+        ]
+        results.append(Result("whole run time", clock.total(), "s", "<= 300"))
+        differences = [
+            abs(cycle.map(alloy, moment).numbers["relative_difference"])
+            for alloy in ALLOYS
+            for moment in scene.immersion
+        ]
+    at = {(row.alloy, row.immersion_days): row for row in rows}
+    for alloy in ALLOYS:
+        results += [
+            Result(f"{alloy} intact peak force", at[alloy, 0.0].peak_reaction, "N", "300 to 700"),
+            Result(f"{alloy} volume loss after 8 weeks", at[alloy, 56.0].volume_loss, "1"),
+            Result(f"{alloy} strength ratio after 8 weeks", at[alloy, 56.0].strength_ratio, "1"),
+            Result(f"{alloy} strength ratio after 24 weeks", at[alloy, 168.0].strength_ratio, "1"),
+        ]
+    results.append(Result("lost mass, mesh to lattice, largest difference", max(differences), "1"))
+    return results
+
+
+class _StageClock(Progress):
+    """Observer that adds up the wall time of each stage; pulls that run side by side count once."""
+
+    def __init__(self) -> None:
+        self._begin = self._last = time.perf_counter()
+        self.stages: dict[str, float] = {}
+
+    def finished(self, key: str, seconds: float) -> None:
+        now = time.perf_counter()
+        stage = key if key.startswith("corrode") else key.split()[0]
+        self.stages[stage] = self.stages.get(stage, 0.0) + now - self._last
+        self._last = now
+
+    def total(self) -> float:
+        """Seconds from the making of the clock to the end of the last stage."""
+        return self._last - self._begin
+
+
+BENCHMARKS: dict[str, Benchmark] = {
+    "quick-stages": Benchmark(
+        "the stages of the quick run: both alloys, 0 to 24 weeks", quick_stages
+    ),
+    "stencil": Benchmark("bond sums per second, direct and by FFT", bench_corrosion.stencil),
+    "implicit": Benchmark("CG iterations and time per unknown", bench_corrosion.implicit),
+    "screw": Benchmark(
+        "the published full screw run, 2.14e6 nodes, 56 days (15 minutes)",
+        bench_corrosion.screw,
+        bench_corrosion.small_screw,
+    ),
+    "pitting-step": Benchmark(
+        "explicit and implicit pitting on 128 x 128 x 64 nodes",
+        bench_corrosion.pitting_step,
+        bench_corrosion.small_pitting,
+    ),
+    "tensile": Benchmark(
+        "constitutive update, assembly, one quick pull of the screw after 8 weeks (a minute)",
+        bench_tensile.tensile,
+        bench_tensile.small_tensile,
+    ),
+    "tensile-published": Benchmark(
+        "773,000 cells on two ranks to 10 % strain after 8 weeks (5 minutes)",
+        bench_tensile.published_tensile,
+        bench_tensile.small_published,
+    ),
+    "scaling": Benchmark(
+        "cost and memory from 1e4 to 1e7 nodes, threads 1 and 2, ranks 1, 2 and 4",
+        bench_corrosion.scaling,
+        bench_corrosion.small_scaling,
+    ),
+}

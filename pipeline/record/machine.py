@@ -1,0 +1,135 @@
+"""What this machine is and has: processor, memory, free disk, versions of what computes."""
+
+import os
+import platform
+import shutil
+import sys
+from importlib import metadata
+from pathlib import Path
+
+_PACKAGES = ("numpy", "scipy", "numba", "h5py", "gmsh", "fenics-dolfinx", "petsc4py", "mpi4py")
+
+
+def version() -> str:
+    """Version of the installed perilife, or `0+unknown` when it is not installed."""
+    try:
+        return metadata.version("perilife")
+    except metadata.PackageNotFoundError:
+        return "0+unknown"
+
+
+def package_versions() -> dict[str, str]:
+    """Versions of perilife, Python and the packages that compute, as far as installed."""
+    versions = {"perilife": version(), "python": platform.python_version()}
+    for name in _PACKAGES:
+        try:
+            versions[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return versions
+
+
+def processor_cores() -> int:
+    """Cores that this process may use (its affinity, not what the machine holds)."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def child_environment(ranks: int, threads: int | None) -> dict[str, str]:
+    """Environment of a child process that imports this checkout, alone or under mpirun.
+
+    ranks: how many start together, 1 for a single one; each gets one thread of OpenMP (BLAS) and
+    the settings of Open MPI.  0: one process that knows nothing of MPI and keeps the OpenMP
+    threads of the caller.  threads: of Numba, each rank's own, None leaves the choice to the child.
+    """
+    environment = dict(os.environ)
+    # threads and ranks that wait give their core away: on a busy machine spinning costs many times
+    # the work
+    environment.setdefault("OMP_WAIT_POLICY", "passive")
+    if ranks:
+        environment["OMP_NUM_THREADS"] = "1"
+        environment["OMPI_MCA_rmaps_base_oversubscribe"] = "1"
+        environment["OMPI_MCA_mpi_yield_when_idle"] = "1"
+        environment["OMPI_MCA_hwloc_base_binding_policy"] = "none"
+        if os.geteuid() == 0:
+            environment["OMPI_ALLOW_RUN_AS_ROOT"] = "1"
+            environment["OMPI_ALLOW_RUN_AS_ROOT_CONFIRM"] = "1"
+    if threads is not None:
+        environment["NUMBA_NUM_THREADS"] = str(threads)
+    root = str(Path(__file__).resolve().parents[2])
+    environment["PYTHONPATH"] = os.pathsep.join(
+        part for part in (root, environment.get("PYTHONPATH", "")) if part
+    )
+    return environment
+
+
+def mpirun(ranks: int, asked_by: str) -> list[str]:
+    """Start of a command for several ranks; FileNotFoundError where mpirun is not installed."""
+    program = shutil.which("mpirun")
+    if program is None:
+        raise FileNotFoundError(
+            f"mpirun was not found on PATH; it must be installed for {asked_by}"
+        )
+    return [program, "-n", str(ranks)]
+
+
+def describe_machine() -> dict[str, object]:
+    """Processor, cores, memory and system, for benchmarks and reports."""
+    return {
+        "processor": _processor_name(),
+        "cores": processor_cores(),
+        "memory_bytes": total_memory(),
+        "system": platform.platform(terse=True),
+        "python": platform.python_version(),
+    }
+
+
+def total_memory() -> int:
+    """Physical memory in bytes, or the control group's limit where that is smaller."""
+    total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    limit = _control_group_number("memory.max")
+    return min(total, limit) if limit else total
+
+
+def available_memory() -> int:
+    """Bytes that a new computation may take without swapping (Linux), else the total."""
+    available = _meminfo("MemAvailable") or total_memory()
+    limit, used = _control_group_number("memory.max"), _control_group_number("memory.current")
+    if limit and used is not None:
+        available = min(available, max(limit - used, 0))
+    return available
+
+
+def free_disk(folder: Path) -> int:
+    """Free bytes on the file system that holds `folder` or its nearest existing parent."""
+    folder = Path(folder).absolute()
+    while not folder.exists():
+        folder = folder.parent
+    return shutil.disk_usage(folder).free
+
+
+def _processor_name() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    except OSError:
+        pass
+    return platform.processor() or sys.platform
+
+
+def _meminfo(key: str) -> int | None:
+    try:
+        for line in Path("/proc/meminfo").read_text().splitlines():
+            if line.startswith(key + ":"):
+                return int(line.split()[1]) * 1024
+    except OSError:
+        pass
+    return None
+
+
+def _control_group_number(name: str) -> int | None:
+    try:
+        text = Path("/sys/fs/cgroup", name).read_text().strip()
+    except OSError:
+        return None
+    return int(text) if text.isdigit() else None

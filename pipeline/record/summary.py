@@ -1,0 +1,76 @@
+"""The table of a run: one row per alloy and immersion time."""
+
+import csv
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+from pipeline.record.run_folder import write_text
+from pipeline.scene.loads import LOADS
+
+
+@dataclass(frozen=True)
+class SummaryRow:
+    """One alloy after one immersion time.
+
+    volume_loss: V_L of the lattice, by mass, in [0, 1]; mean_corrosion_damage: volume mean of
+    f0 over the mesh; peak_reaction: largest force (N), torque or moment (N m), as `load` says;
+    strength_ratio: that over the one of the same alloy at time zero; strain_at_peak: nominal;
+    status: how the tensile test ended.
+    """
+
+    alloy: str
+    immersion_days: float
+    volume_loss: float
+    mean_corrosion_damage: float
+    peak_reaction: float
+    strength_ratio: float
+    strain_at_peak: float
+    status: str
+    load: str = "axial"
+
+
+def columns(load: str) -> dict[str, str]:
+    """Column of summary.csv by field of a row; those of the peak are named by the load."""
+    names = LOADS[load]
+    same = ("alloy", "immersion_days", "volume_loss", "mean_corrosion_damage")
+    return {
+        **{name: name for name in same},
+        "peak_reaction": names.peak,
+        "strength_ratio": "strength_ratio",
+        "strain_at_peak": names.strain_at_peak,
+        "status": "status",
+    }
+
+
+def write_summary(path: Path, rows: list[SummaryRow]) -> None:
+    """Write the rows, all of one load, as CSV with a header line, in one step."""
+    named = columns(rows[0].load if rows else "axial")
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(named.values())
+    for row in rows:
+        values = [getattr(row, field) for field in named]
+        writer.writerow([f"{v:.10g}" if isinstance(v, float) else v for v in values])
+    write_text(path, buffer.getvalue())
+
+
+def read_summary(path: Path) -> list[SummaryRow]:
+    """Read rows that `write_summary` wrote; ValueError when the columns are others."""
+    with open(path, encoding="utf-8", newline="") as handle:
+        reader = csv.DictReader(handle)
+        found = tuple(reader.fieldnames or ())
+        load = next((load for load in LOADS if tuple(columns(load).values()) == found), None)
+        if load is None:
+            expected = ", ".join(columns("axial").values())
+            raise ValueError(f"columns of '{path}' are not {expected}")
+        return [
+            SummaryRow(
+                **{
+                    field: row[name] if field in ("alloy", "status") else float(row[name])
+                    for field, name in columns(load).items()
+                },
+                load=load,
+            )
+            for row in reader
+        ]

@@ -1,0 +1,289 @@
+"""How sure the numbers of a run are, from what the run itself measured, and at what cost surer."""
+
+import numpy as np
+
+from pipeline.record.run_results import ImmersionResult, RunResults, column
+from pipeline.report.wording import duration, percent
+from pipeline.scene.loads import LOADS
+from pipeline.scene.resolution import RESOLUTIONS, CorrosionError, Resolution, TensileError
+from pipeline.scene.resolve import DEFAULT_PARAMETER_SET, grip_length
+from pipeline.scene.scene import (
+    DomainSettings,
+    Scene,
+    ScrewGeometry,
+)
+from pipeline.scene.units import format_seconds
+from pipeline.stages.plan import scene_omissions
+
+
+def checks(run: RunResults) -> list[dict[str, str]]:
+    """Measured checks of this run: what, how large, what it means."""
+    found = []
+
+    def add(what: str, value: str, meaning: str) -> None:
+        found.append({"what": what, "value": value, "meaning": meaning})
+
+    for alloy in run.alloys:
+        error = column(alloy.history, "balance_error")
+        if error is not None and len(error):
+            add(
+                f"{alloy.name}: mass balance of the corrosion",
+                f"{np.nanmax(np.abs(error)):.0e}",
+                "largest share of the metal that appears or vanishes in the computation",
+            )
+    for alloy in run.alloys:
+        differences = [
+            (abs(item.map_numbers["relative_difference"]), item)
+            for item in alloy.immersions
+            if isinstance(item.map_numbers.get("relative_difference"), int | float)
+        ]
+        if differences:
+            worst, item = max(differences, key=lambda pair: pair[0])
+            add(
+                f"{alloy.name}: lost mass, mesh against lattice",
+                percent(worst, 2),
+                f"largest difference, after {duration(item.seconds)}: what the change from the "
+                "lattice to the mesh does to the damage",
+            )
+    estimates = [
+        (abs(left - pulled), left, pulled, f"{alloy.name} after {duration(item.seconds)}")
+        for alloy in run.alloys
+        for item in alloy.immersions
+        if item.summary is not None
+        and item.seconds > 0
+        and _finite(left := item.map_numbers.get("net_section_left"))
+        and _finite(pulled := item.summary.strength_ratio)
+    ]
+    if estimates and run.scene.tensile.load == "axial":
+        _, left, pulled, case = max(estimates)
+        add(
+            "Strength left by the weakest section alone",
+            f"{percent(left, 0)} against {percent(pulled, 0)}",
+            f"largest difference, {case}: the metal in the weakest layer between the grips, each "
+            "part of it by 1 - q1 f0, over the same before immersion; no test is computed for it",
+        )
+    torn = [
+        (int(i.tensile.get("torn_cells", 0)), int(i.tensile.get("cells", 0)), a.name, i.label)
+        for a in run.alloys
+        for i in a.immersions
+    ]
+    if max(torn, default=(0,))[0] > 0:
+        count, cells, name, label = max(torn)
+        add(
+            f"Cells let go so that a {LOADS[run.scene.tensile.load].test} could go on",
+            f"{count} of {cells:,}",
+            f"most in one test, {name} after {label}: drawn out to twice their length with at most "
+            "5 % of their strength, or to five times, where no increment found equilibrium",
+        )
+    gaps = [(_energy_gap(i), f"{a.name} after {i.label}") for a in run.alloys for i in a.immersions]
+    known = [pair for pair in gaps if pair[0] is not None]
+    if known:
+        worst, case = max(known)
+        add(
+            f"Energy balance of the {LOADS[run.scene.tensile.load].test}s",
+            percent(worst, 2),
+            f"largest difference, {case}: work of the grips against what is stored and dissipated",
+        )
+    return found
+
+
+def _energy_gap(item: ImmersionResult) -> float | None:
+    """Largest |work - stored - dissipated| of a test over its work; None if unknown."""
+    work, stored, dissipated = (
+        column(item.curve, name) for name in ("work", "stored", "dissipated")
+    )
+    if work is None or stored is None or dissipated is None or not np.nanmax(work, initial=0.0) > 0:
+        return None
+    return float(np.nanmax(np.abs(work - stored - dissipated)) / np.nanmax(work))
+
+
+def error_estimate(run: RunResults) -> str:
+    """The error of the run's own settings in volume loss and strength, as far as measured."""
+    estimate = run.scene_extras.get("error_estimate")
+    if estimate:
+        return str(estimate)
+    return f"{_volume_loss_error(run)} {_strength_error(run)}"
+
+
+def _corrosion_error(scene: Scene) -> CorrosionError | None:
+    """What was measured of the preset's lattice and time steps, if the scene uses just these."""
+    preset = RESOLUTIONS.get(scene.resolution)
+    if preset is None or not (
+        _alike(scene.lattice, preset, spacing="spacing", horizon="horizon")
+        and _alike(scene.corrosion, preset, rate_change="rate_change")
+        and _default(scene.corrosion, "scheme", "step", "saturation", "dissolution")
+        and _default(scene.corrosion, "kinetics", "calibration", "influence")
+    ):
+        return None
+    return preset.corrosion_error
+
+
+def _tensile_error(scene: Scene) -> TensileError | None:
+    """What was measured of the preset's mesh and increment, if the scene uses just these."""
+    preset = RESOLUTIONS.get(scene.resolution)
+    held = grip_length(scene.geometry, scene.lattice.horizon)
+    if preset is None or not (
+        _alike(scene.lattice, preset, horizon="horizon")
+        and _alike(scene.mesh, preset, size="mesh_size", size_fine="mesh_size_fine")
+        and _alike(scene.tensile, preset, element="element", increment="increment")
+        and _default(scene.tensile, "damage", "damage_length", "final_strain", "lateral", "load")
+        and scene.tensile.bottom_grip == scene.tensile.top_grip == held
+    ):
+        return None
+    return preset.tensile_error
+
+
+def _alike(settings: object, preset: Resolution, **names: str) -> bool:
+    """Whether settings have the preset's values; names: field of the settings = of the preset."""
+    return all(getattr(settings, ours) == getattr(preset, its) for ours, its in names.items())
+
+
+def _default(settings: object, *names: str) -> bool:
+    """Whether these fields of settings are as nobody changed them."""
+    untouched = type(settings)()
+    return all(getattr(settings, name) == getattr(untouched, name) for name in names)
+
+
+def _volume_loss_error(run: RunResults) -> str:
+    known = _corrosion_error(run.scene)
+    if known is None:
+        return (
+            "The discretisation error of the volume loss has not been measured for these lattice "
+            "and time settings, only for those of the presets."
+        )
+    errors = ", ".join(
+        f"{percent(known.of(alloy.name), 1)} for {alloy.name}" for alloy in run.scene.alloys
+    )
+    scene = run.scene
+    same = (
+        scene.geometry == ScrewGeometry()
+        and scene.parameter_set == DEFAULT_PARAMETER_SET
+        and scene.domain == DomainSettings()
+        and all(alloy.name in known.time for alloy in scene.alloys)
+    )
+    where = "in this very scene" if same else "on the reference screw with Table 5.1, not here"
+    return (
+        f"The volume loss is off by at most {errors} of its value because space and time are "
+        f"discrete, measured up to 8 weeks {where}."
+    )
+
+
+def _strength_error(run: RunResults) -> str:
+    known = _tensile_error(run.scene)
+    if run.scene.tensile.load != "axial":
+        return (
+            "The discretisation error of the strength left has been measured of tensile tests "
+            f"only, not of {LOADS[run.scene.tensile.load].test}s."
+        )
+    if known is None:
+        return (
+            "The discretisation error of the strength left has not been measured for these grips, "
+            "mesh, element and increment, only for those of the presets."
+        )
+    scene = run.scene
+    same = scene.geometry == ScrewGeometry() and all(a.name in known.alloys for a in scene.alloys)
+    where = "" if same else ", not here"
+    return (
+        f"The strength left is off by at most {percent(known.error, 1)} of its value because mesh "
+        "and increments of the tensile test are finite, measured up to "
+        f"{known.latest} on the reference screw of {' and '.join(known.alloys)}{where}; "
+        "what the error of the volume loss does to it comes on top."
+    )
+
+
+def settings_name(scene: Scene) -> str:
+    """The preset of a scene by name, and whether the run departs from it."""
+    preset = RESOLUTIONS.get(scene.resolution)
+    own = {
+        "spacing": scene.lattice.spacing,
+        "horizon": scene.lattice.horizon,
+        "rate_change": scene.corrosion.rate_change,
+        "mesh_size": scene.mesh.size,
+        "mesh_size_fine": scene.mesh.size_fine,
+        "element": scene.tensile.element,
+        "increment": scene.tensile.increment,
+    }
+    changed = preset is None or any(getattr(preset, key) != value for key, value in own.items())
+    return f"“{scene.resolution}”, changed" if changed else f"“{scene.resolution}”"
+
+
+def in_short(run: RunResults, assumed: int) -> str:
+    """The doubts in one line, to stand right below the answer."""
+    given, known = run.scene_extras.get("error_estimate"), _corrosion_error(run.scene)
+    error = "the discretisation error is not measured yet"
+    if given:
+        error = str(given)
+    elif known is not None:
+        most = max(known.of(alloy.name) for alloy in run.scene.alloys)
+        error = f"discretisation error of the volume loss up to {percent(most, 1)}"
+        tensile = _tensile_error(run.scene)
+        if tensile is None:
+            error += ", of the strength not measured for these settings"
+        else:
+            error += f", of the strength left up to {percent(tensile.error, 1)}"
+    values = "value is" if assumed == 1 else "values are"
+    seconds = sum(record.seconds for _, record in run.records)
+    cost = f" The run took {format_seconds(seconds)}." if seconds else ""
+    return (
+        f"Resolution {settings_name(run.scene)}; {error}, and {assumed} {values} assumed, fitted "
+        f"or known to be wrong.{cost}"
+    )
+
+
+def twice_as_sure(run: RunResults) -> str:
+    """What halving the discretisation error would cost, from the run's own times."""
+    seconds = {}
+    for _, record in run.records:
+        seconds[record.stage] = seconds.get(record.stage, 0.0) + record.seconds
+    corrosion, pulls = seconds.get("corrode"), seconds.get("pull")
+    if not corrosion or not pulls:
+        return "The run times needed for an estimate are not in this run."
+    corrode, pull = (format_seconds(value) for value in (corrosion, pulls))
+    known = _corrosion_error(run.scene)
+    if known is None:
+        lattice = (
+            "Half the lattice spacing means 8 times the nodes and, at the same horizon, 8 times "
+            f"the bonds of each node: corrosion {corrode} → {format_seconds(8 * corrosion)} to "
+            f"{format_seconds(64 * corrosion)}."
+        )
+    else:
+        source = "measured" if known.half_error_measured else "extrapolated from what was measured"
+        lattice = (
+            f"Half the error of the volume loss takes about {known.half_error_cost:.2g} times the "
+            f"processor time ({source}): corrosion {corrode} → "
+            f"{format_seconds(known.half_error_cost * corrosion)}, less where the liquid is left "
+            "out."
+        )
+    return (
+        f"{lattice} Half the edge length of the mesh means 8 times the cells: "
+        f"{LOADS[run.scene.tensile.load].test}s "
+        f"{pull} → {format_seconds(8 * pulls)} or more. No computation makes the assumed "
+        "strengths of the alloys any surer: that takes a tensile test of the bar that the screw "
+        "is cut from."
+    )
+
+
+def omissions(run: RunResults) -> list[dict[str, str]]:
+    """What was left out, why, and the bound of the error, for the model and for each alloy.
+
+    The corrosion stage records its own omissions with name, reason, bound (relative to the volume
+    loss) and whether they were applied.
+    """
+    found = [
+        {"alloy": "all", "what": entry.what, "reason": entry.reason, "bound": entry.error}
+        for entry in scene_omissions(run.scene)
+    ]
+    for alloy in run.alloys:
+        entries = alloy.corrosion_numbers.get("omissions", [])
+        for entry in entries if isinstance(entries, list) else []:
+            if isinstance(entry, dict) and entry.get("applied", True):
+                bound = entry.get("bound")
+                text = f"{percent(bound, 3)} of the volume loss" if _finite(bound) else "not known"
+                name = str(entry.get("name", ""))  # as --keep wants it
+                reason = str(entry.get("reason", ""))
+                found.append({"alloy": alloy.name, "what": name, "reason": reason, "bound": text})
+    return found
+
+
+def _finite(value: object) -> bool:
+    return isinstance(value, int | float) and bool(np.isfinite(value))

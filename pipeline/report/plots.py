@@ -1,0 +1,264 @@
+"""The curves of the report, drawn with matplotlib as SVG that follows the page's colours.
+
+Figures are built without pyplot, so nothing of matplotlib's global state changes.  Colours are
+placeholders that become CSS variables in the SVG text: one drawing serves light, dark and paper.
+"""
+
+import io
+import re
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+from matplotlib.ticker import MultipleLocator
+from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
+
+from perilife_data import VolumeLossData
+from pipeline.record.run_results import AlloyResult, column
+from pipeline.scene.loads import LOADS, LoadNames
+from pipeline.scene.units import SECONDS_PER
+
+ALLOY_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#8f6f00", "#56b4e9")
+"""Okabe and Ito's colours (one darkened), distinguishable without colour vision; for paper."""
+MARKERS = ("o", "s", "^", "D", "v", "P")
+LINE_STYLES = ("-", (0, (5, 1.6)), (0, (1.2, 1.2)), (0, (5, 1.2, 1, 1.2)))
+TIME_RAMP = 8
+"""Number of steps of the colour ramp for immersion times; the CSS names them --t0 to --t7."""
+
+_INK, _FAINT = "#a1b1c0", "#a1b1c1"
+_SERIES = tuple(f"#a1b2c{n:x}" for n in range(len(ALLOY_COLOURS)))
+_RAMP = tuple(f"#a1b3c{n:x}" for n in range(TIME_RAMP))
+_CSS = {
+    _INK: "var(--ink)",
+    _FAINT: "var(--line)",
+    **{colour: f"var(--s{n})" for n, colour in enumerate(_SERIES)},
+    **{colour: f"var(--t{n})" for n, colour in enumerate(_RAMP)},
+}
+_SIZE = (4.6, 3.3)
+
+
+def time_axis(longest: float) -> tuple[float, str]:
+    """Seconds per unit and name of the unit in which times up to `longest` (s) read best."""
+    for name, unit, least in (("weeks", "w", 2.0), ("days", "d", 2.0), ("hours", "h", 2.0)):
+        if longest >= least * SECONDS_PER[unit]:
+            return SECONDS_PER[unit], name
+    return 1.0, "seconds"
+
+
+def volume_loss_plot(
+    alloys: Sequence[AlloyResult],
+    measured: Mapping[str, VolumeLossData],
+) -> str:
+    """Volume loss against immersion time as SVG; `measured`: a person's own points by alloy."""
+    figure, axes = _figure()
+    longest = max(
+        [a.immersions[-1].seconds for a in alloys if a.immersions]
+        + [float(data.times.max()) for data in measured.values()]
+        + [1.0]
+    )
+    second, unit = time_axis(longest)
+    for n, alloy in enumerate(alloys):
+        style = _style(n)
+        time, loss = column(alloy.history, "time"), column(alloy.history, "volume_loss")
+        known = [i for i in alloy.immersions if i.summary is not None]
+        if time is not None and loss is not None:
+            times, losses = _smooth(time, loss)
+            axes.plot(times / second, 100 * losses, lw=1.8, label=alloy.name, **_line(style))
+        elif known:
+            axes.plot([], [], lw=1.8, label=alloy.name, **style)
+        if known:
+            axes.plot(
+                [i.seconds / second for i in known],
+                [100 * i.summary.volume_loss for i in known],
+                ls="none",
+                ms=5,
+                **_marker(style),
+            )
+        if alloy.name in measured:
+            data = measured[alloy.name]
+            spread = data.standard_deviation
+            axes.errorbar(
+                data.times / second,
+                100 * data.volume_loss,
+                yerr=None if spread is None else 100 * spread,
+                ls="none",
+                marker=style["marker"],
+                mfc="none",
+                mew=1.4,
+                ms=7,
+                capsize=2.5,
+                elinewidth=1.0,
+                color=style["color"],
+                label=f"{alloy.name}, measured",
+            )
+    _time_ticks(axes, unit)
+    axes.set_ylabel("Volume loss (%)")
+    _finish(axes, zero=True)
+    return _svg(figure, "volume-loss", "Volume loss in per cent against immersion time")
+
+
+def strength_plot(alloys: Sequence[AlloyResult], names: LoadNames = LOADS["axial"]) -> str:
+    """Peak over that of the intact solid against immersion time, all alloys, as SVG."""
+    figure, axes = _figure()
+    draw_strength(axes, alloys, colours=_SERIES, names=names)
+    _finish(axes, zero=True, legend="upper right")
+    title = f"{_capital(names.strength)} left in per cent against immersion time"
+    return _svg(figure, "strength", title)
+
+
+def draw_strength(
+    axes: Axes, alloys: Sequence[AlloyResult], colours: Sequence[str], names: LoadNames
+) -> None:
+    """Draw strength left (%) against immersion time into `axes`; severed solids get a cross."""
+    longest = max((i.seconds for a in alloys for i in a.immersions), default=1.0)
+    second, unit = time_axis(longest)
+    severed = []
+    for n, alloy in enumerate(alloys):
+        style = _style(n, colours)
+        known = [i for i in alloy.immersions if i.strength_ratio is not None]
+        if not known:
+            continue
+        times = [i.seconds / second for i in known]
+        ratios = [100 * i.strength_ratio for i in known]
+        axes.plot(times, ratios, lw=1.8, ms=5.5, label=alloy.name, clip_on=False, zorder=3, **style)
+        severed += [(t, r) for t, r in zip(times, ratios, strict=True) if r == 0.0]
+    if severed:
+        axes.plot(
+            *zip(*severed, strict=True),
+            ls="none",
+            marker="x",
+            ms=10,
+            mew=2,
+            color=axes.xaxis.label.get_color(),
+            label="severed",
+            clip_on=False,
+            zorder=4,
+        )
+    _time_ticks(axes, unit)
+    axes.set_ylabel(f"{_capital(names.strength)} left (%)")
+    axes.set_ylim(0, max(105.0, axes.get_ylim()[1]))
+
+
+def load_plot(alloy: AlloyResult, name: str, most: float, names: LoadNames = LOADS["axial"]) -> str:
+    """Force-elongation (torque-angle, moment-angle) curves of one alloy by immersion time, as SVG.
+
+    most: upper end of the force axis (SI), so that the alloys' plots share one scale.
+    """
+    figure, axes = _figure()
+    tested = [i for i in alloy.immersions if i.reaction is not None and i.abscissa is not None]
+    for n, item in enumerate(tested):
+        shade = _RAMP[round(n * (TIME_RAMP - 1) / max(1, len(tested) - 1))]
+        along, force = item.abscissa, names.shown_factor * item.reaction
+        if len(force) == 0 or not np.any(force > 0):
+            axes.plot([], [], color=shade, lw=1.8, label=f"{item.label}: carries nothing")
+            continue
+        axes.plot(along, force, color=shade, lw=1.8, label=item.label)
+        peak = int(np.nanargmax(force))
+        axes.plot(along[peak], force[peak], "o", ms=4, color=shade)
+    axes.set_xlabel(names.abscissa_title)
+    axes.set_ylabel(f"{_capital(names.reaction)} ({names.shown_unit})")
+    axes.set_ylim(0, 1.05 * names.shown_factor * most)
+    axes.set_xlim(left=0)
+    _finish(axes, zero=False, legend="outside", columns=4)
+    title = f"{_capital(names.reaction)} against {names.abscissa} of {alloy.name}"
+    return _svg(figure, f"curves-{name}", title)
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _smooth(
+    time: NDArray[np.float64], values: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """A curve through all steps of a march that neither overshoots nor shows their corners."""
+    time, first = np.unique(time, return_index=True)
+    if len(time) < 3:
+        return time, values[first]
+    fine = np.unique(np.concatenate([time, np.linspace(time[0], time[-1], 200)]))
+    return fine, PchipInterpolator(time, values[first])(fine)
+
+
+def _time_ticks(axes: Axes, unit: str) -> None:
+    """Label the time axis, with ticks where people expect them: every 4 weeks, every 7 days."""
+    axes.set_xlabel(f"Immersion time ({unit})")
+    axes.set_xlim(left=0)
+    steps = {"weeks": (1, 2, 4, 8, 12, 26, 52), "days": (1, 2, 7, 14), "hours": (1, 2, 6, 12, 24)}
+    fitting = [s for s in steps.get(unit, ()) if 3 <= axes.get_xlim()[1] / s <= 9]
+    if fitting:
+        axes.xaxis.set_major_locator(MultipleLocator(fitting[0]))
+
+
+def _figure() -> tuple[Figure, Axes]:
+    figure = Figure(figsize=_SIZE, layout="constrained")
+    axes = figure.add_subplot()
+    for item in (axes.xaxis, axes.yaxis):
+        item.label.set_color(_INK)
+        item.label.set_fontsize(9)
+    axes.tick_params(colors=_INK, labelsize=8.5, width=0.7, length=3)
+    for side, spine in axes.spines.items():
+        spine.set_visible(side in ("left", "bottom"))
+        spine.set_color(_INK)
+        spine.set_linewidth(0.7)
+    axes.grid(color=_FAINT, lw=0.6)
+    axes.set_axisbelow(True)
+    axes.patch.set_alpha(0.0)
+    figure.patch.set_alpha(0.0)
+    return figure, axes
+
+
+def _style(n: int, colours: Sequence[str] = _SERIES) -> dict:
+    return {
+        "color": colours[n % len(colours)],
+        "marker": MARKERS[n % len(MARKERS)],
+        "ls": LINE_STYLES[n % len(LINE_STYLES)],
+    }
+
+
+def _line(style: dict) -> dict:
+    return {"color": style["color"], "ls": style["ls"]}
+
+
+def _marker(style: dict) -> dict:
+    return {"color": style["color"], "marker": style["marker"]}
+
+
+def _finish(axes: Axes, *, zero: bool, legend: str = "best", columns: int = 1) -> None:
+    if zero:
+        axes.set_xlim(left=0)
+        axes.set_ylim(bottom=0)
+    if not axes.get_legend_handles_labels()[0]:
+        return
+    look = {"fontsize": 8.5, "frameon": False, "labelcolor": _INK, "handlelength": 2.4}
+    if legend == "outside":
+        axes.figure.legend(loc="outside upper left", ncols=columns, columnspacing=1.2, **look)
+    else:
+        axes.legend(loc=legend, **look)
+
+
+def _svg(figure: Figure, name: str, label: str) -> str:
+    """The figure as an SVG element for an HTML page: CSS colours, page font, unique ids."""
+    buffer = io.StringIO()
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
+        FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None})
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r'\bid="', f'id="{name}-', text)
+    text = re.sub(r'href="#', f'href="#{name}-', text)
+    text = re.sub(r"url\(#", f"url(#{name}-", text)
+    text = re.sub(r"<defs>\s*<style.*?</style>\s*</defs>", "", text, flags=re.DOTALL)
+    text = re.sub(r"font: ([\d.]+)px [^;\"]*", r"font-size: \1px", text)
+    text = re.sub(r"font-family: [^;\"]*; ?", "", text)
+    for colour, variable in _CSS.items():
+        text = text.replace(colour, variable)
+    width, height = (72 * figure.get_size_inches()).round(2)
+    head = (
+        f'<svg class="plot" role="img" aria-label="{label}" viewBox="0 0 {width} {height}" '
+        'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink">'
+    )
+    return head + text[text.index(">") + 1 :]

@@ -1,0 +1,333 @@
+"""The report of a run: one HTML file that stands alone, made from whatever the run folder holds.
+
+`write_report` renders the pictures, draws the curves and fills `templates/report.html.j2`.  What
+a run has not computed is said, never filled in.
+"""
+
+import base64
+import io
+import logging
+import math
+import platform
+import re
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+
+import jinja2
+import numpy as np
+from markupsafe import Markup
+from PIL import Image, features
+
+import perilife_data
+from pipeline.record.machine import describe_machine, package_versions
+from pipeline.record.run_folder import REPORT_FILE, write_text
+from pipeline.record.run_results import AlloyResult, ImmersionResult, RunResults, read_run
+from pipeline.report import doubts, plots, provenance
+from pipeline.report.picture_set import PictureSet, make_pictures, times_shown
+from pipeline.report.pictures import DAMAGE_COLOURS, MAXIMUM_DAMAGE, write_overview
+from pipeline.report.wording import duration, gathered, headline, percent, status_in_words
+from pipeline.scene.loads import LOADS, LoadNames
+from pipeline.scene.scene import ScrewGeometry
+from pipeline.scene.units import format_bytes, format_length, format_seconds
+
+logger = logging.getLogger(__name__)
+
+OVERVIEW_FILE = "overview.png"
+STAGE_TITLES = {
+    "geometry": "Solid and mesh",
+    "corrode": "Corrosion",
+    "map": "Damage onto the mesh",
+    "pull": "{test}s",
+    "report": "Report",
+}
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One picture in the page: a data address and what it shows in words."""
+
+    address: str
+    text: str
+
+
+@dataclass(frozen=True)
+class PictureColumn:
+    """The pictures of one alloy after one time, and their caption."""
+
+    title: str
+    caption: str
+    whole: Picture | None
+    cut: Picture | None
+
+
+def write_report(run_folder: Path | str) -> Path:
+    """Write `report.html` and `overview.png` into the run folder and return the report's path.
+
+    Raises FileNotFoundError where the folder holds no scene, ValueError where the scene cannot
+    be read, OSError where the report cannot be written.  Missing parts are named in the report.
+    """
+    run = read_run(run_folder)
+    rows = provenance.parameter_rows(run.scene)
+    pictures = make_pictures(run)
+    assumed = provenance.to_be_listed(rows)
+    names = [alloy.name for alloy in run.alloys]
+    load = LOADS[run.scene.tensile.load]
+    measured, measured_trouble = _measured(run)
+    trouble = [*measured_trouble]
+    if pictures.trouble:
+        trouble.append(f"pictures, all or some: {pictures.trouble}")
+    if pictures.paths:
+        write_overview(run, pictures.paths, run.folder / OVERVIEW_FILE)
+    references = provenance.references(rows)
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters.update(symbol=_symbol, unit=_unit)
+    page = environment.get_template("report.html.j2").render(
+        title=" and ".join(names),
+        solid=_solid_in_words(run),
+        load=load,
+        final_strain=percent(run.scene.tensile.final_strain),
+        headlines=[headline(alloy, load) for alloy in run.alloys],
+        parameter_set=_parameter_set(run),
+        preset=doubts.settings_name(run.scene),
+        table=[_table_row(a, i) for a in run.alloys for i in a.immersions if i.summary],
+        pictures=_pictures(run, pictures),
+        damage_ramp=_damage_ramp(),
+        plots=_plots(run, measured, load),
+        measured=sorted(measured),
+        checks=doubts.checks(run),
+        error_estimate=doubts.error_estimate(run),
+        in_short=doubts.in_short(run, len(assumed)),
+        twice_as_sure=doubts.twice_as_sure(run),
+        omissions=doubts.omissions(run),
+        alloys=names,
+        assumed_count=len(assumed),
+        assumptions=provenance.side_by_side(assumed, names),
+        parameters=provenance.side_by_side(rows, names),
+        settings=provenance.settings(run.scene),
+        kinds=[(k, v) for k, v in provenance.kinds_explained().items() if _has(rows, k)],
+        solid_rows=_solid_rows(run),
+        stages=_stage_times(run),
+        versions=_versions(run),
+        machine=_machine(),
+        references=references,
+        numbers={key: n for n, key in enumerate(references, start=1)},
+        missing=[*gathered(run.missing), *trouble],
+        created=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        folder=run.folder.resolve().name,
+    )
+    path = run.folder / REPORT_FILE
+    write_text(path, page)
+    return path
+
+
+def _solid_in_words(run: RunResults) -> str:
+    geometry = run.scene.geometry
+    if not isinstance(geometry, ScrewGeometry):
+        return f"the solid of {Path(geometry.path).name}"
+    screw = geometry.parameters
+    size = f"M{1e3 * screw.diameter:g} × {1e3 * screw.length:g} mm"
+    return f"a plain pin, {size[1:]}" if screw.thread == "none" else f"an {size} screw"
+
+
+def _parameter_set(run: RunResults) -> dict[str, str]:
+    name = run.scene.parameter_set
+    try:
+        known = perilife_data.load_parameter_set(name)
+    except (ValueError, OSError):
+        return {"name": name, "title": "", "note": "", "medium": ""}
+    try:
+        medium = perilife_data.load_medium(known.medium).title
+    except (ValueError, OSError):
+        medium = known.medium
+    return {"name": name, "title": known.title, "note": known.note, "medium": medium}
+
+
+# ---------------------------------------------------------------- table, pictures, curves
+
+
+def _table_row(alloy: AlloyResult, item: ImmersionResult) -> dict[str, object]:
+    row = item.summary
+    ratio = item.strength_ratio
+    return {
+        "alloy": alloy.name,
+        "first": item is next(i for i in alloy.immersions if i.summary),
+        "rows": sum(1 for i in alloy.immersions if i.summary),
+        "time": duration(item.seconds),
+        "volume_loss": _or_dash(row.volume_loss, lambda v: percent(v, 1)),
+        "damage": _or_dash(row.mean_corrosion_damage, lambda v: f"{v:.3f}"),
+        "peak": _or_dash(row.peak_reaction, item.names.shown),
+        "ratio": _or_dash(row.strength_ratio, percent),
+        "bar": 0.0 if ratio is None else 100.0 * min(max(ratio, 0.0), 1.0),
+        "strain": _or_dash(row.strain_at_peak, lambda v: percent(v, 1)) if ratio else "–",
+        "status": status_in_words(row.status, item.names),
+    }
+
+
+def _symbol(text: str) -> Markup:
+    """`D_int` with int as an index; `q1` likewise."""
+    match = re.fullmatch(r"(\w)_?(\w+)", text)
+    return Markup("<i>{}</i><sub>{}</sub>").format(*match.groups()) if match else _italic(text)
+
+
+def _italic(text: str) -> Markup:
+    return Markup("<i>{}</i>").format(text)
+
+
+def _unit(text: str) -> str:
+    """`mol/m^3` with a raised 3 and `um` with its Greek letter; `1e-5` is left alone."""
+    text = re.sub(r"\bum\b", "µm", text)
+    raised = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
+    return re.sub(r"\^(-?\d+)", lambda match: match.group(1).translate(raised), text)
+
+
+def _or_dash(value: float, write) -> str:
+    return write(value) if math.isfinite(value) else "–"
+
+
+def _pictures(run: RunResults, made: PictureSet) -> list[tuple[str, list[PictureColumn]]]:
+    """The pictures of each alloy in columns, one per time."""
+    result = []
+    for alloy in run.alloys:
+        columns = []
+        for item in times_shown(alloy):
+            paths = [made.paths.get((alloy.name, item.label, cut)) for cut in ("whole", "half")]
+            views = [_embed(path, alloy, item) if path else None for path in paths]
+            if any(views):
+                columns.append(PictureColumn(duration(item.seconds), _caption(item), *views))
+        if columns:
+            result.append((alloy.name, columns))
+    return result
+
+
+def _caption(item: ImmersionResult) -> str:
+    if item.strength_ratio is None:
+        return ""
+    if item.strength_ratio == 0.0 and item.summary:
+        return status_in_words(item.summary.status, item.names)
+    return f"{percent(item.strength_ratio)} left"
+
+
+def _embed(path: Path, alloy: AlloyResult, item: ImmersionResult) -> Picture:
+    """The picture as a data address, as WebP (a tenth of the bytes) where that can be written."""
+    content, kind = path.read_bytes(), "png"
+    if features.check("webp"):
+        with Image.open(path) as picture, io.BytesIO() as buffer:
+            picture.save(buffer, format="WEBP", quality=90, method=4)
+            content, kind = buffer.getvalue(), "webp"
+    view = "whole" if path.stem.endswith("whole") else "cut in half"
+    text = f"{alloy.name} after {duration(item.seconds)}, {view}, coloured by corrosion damage"
+    return Picture(f"data:image/{kind};base64,{base64.b64encode(content).decode()}", text)
+
+
+def _damage_ramp() -> dict[str, object]:
+    return {"colours": ", ".join(DAMAGE_COLOURS), "most": f"{MAXIMUM_DAMAGE:.2f}"}
+
+
+def _measured(run: RunResults) -> tuple[dict, list[str]]:
+    """Measured volume loss by alloy, from the person's own files, and what could not be read."""
+    found, trouble = {}, []
+    for name, path in run.scene.measured_volume_loss.items():
+        try:
+            data = perilife_data.read_volume_loss_csv(path)
+        except (ValueError, OSError) as error:
+            trouble.append(f"the measured volume loss of {name}: {error}")
+            continue
+        found[name] = data
+    return found, trouble
+
+
+def _plots(run: RunResults, measured: dict, load: LoadNames) -> dict[str, object]:
+    tested = [a for a in run.alloys if any(i.reaction is not None for i in a.immersions)]
+    forces = [i.reaction for a in run.alloys for i in a.immersions if i.reaction is not None]
+    most = max((float(np.nanmax(f)) for f in forces if len(f)), default=0.0)
+    corroded = [a for a in run.alloys if a.history or any(i.summary for i in a.immersions)]
+    ratios = [i for a in run.alloys for i in a.immersions if i.strength_ratio is not None]
+    return {
+        "strength": Markup(plots.strength_plot(run.alloys, load)) if ratios else "",
+        "volume_loss": Markup(plots.volume_loss_plot(run.alloys, measured)) if corroded else "",
+        "curves": [
+            (a.name, Markup(plots.load_plot(a, f"{n}", most or 1.0, load)))
+            for n, a in enumerate(tested)
+        ],
+    }
+
+
+# ---------------------------------------------------------------- what it was made with
+
+
+def _has(rows: list[provenance.ParameterRow], kind: str) -> bool:
+    return any(row.kind == kind for row in rows)
+
+
+def _solid_rows(run: RunResults) -> list[tuple[str, str]]:
+    """Volume and area of solid and mesh with their differences, and the mesh's quality."""
+    geometry, rows = run.geometry, []
+    mesh = geometry.get("mesh", {})
+    volume, area = geometry.get("volume"), geometry.get("area")
+    if volume:
+        rows.append(("Volume of the solid", f"{1e9 * volume:.4g} mm³"))
+        rows += _difference("… against its parameters", volume, geometry.get("reference_volume"))
+        rows += _difference("… of the mesh against the solid", mesh.get("volume"), volume)
+    if area:
+        rows.append(("Surface of the solid", f"{1e6 * area:.4g} mm²"))
+        rows += _difference("… against its parameters", area, geometry.get("reference_area"))
+    if geometry.get("smallest_feature"):
+        rows.append(("Smallest feature", format_length(geometry["smallest_feature"])))
+    if run.points is not None:
+        rows += [("Mesh points", f"{len(run.points):,}"), ("Tetrahedra", f"{len(run.cells):,}")]
+    for key, title, scale, unit in (
+        ("min_shape", "Worst shape (1 regular, 0 flat)", 1.0, ""),
+        ("mean_shape", "Mean shape", 1.0, ""),
+        ("min_dihedral_angle", "Smallest dihedral angle", 1.0, "°"),
+        ("max_dihedral_angle", "Largest dihedral angle", 1.0, "°"),
+        ("mean_edge", "Mean edge", 1e6, " µm"),
+    ):
+        if isinstance(mesh.get(key), int | float):
+            rows.append((title, f"{scale * mesh[key]:.3g}{unit}"))
+    return rows
+
+
+def _difference(title: str, value: object, reference: object) -> list[tuple[str, str]]:
+    if not (isinstance(value, float) and isinstance(reference, float) and reference > 0):
+        return []
+    return [(title, f"{round(100 * (value / reference - 1), 2) + 0.0:+.2f} %")]
+
+
+def _stage_times(run: RunResults) -> list[tuple[str, str, str]]:
+    rows, load = [], LOADS[run.scene.tensile.load]
+    for stage, title in STAGE_TITLES.items():
+        seconds = [record.seconds for _, record in run.records if record.stage == stage]
+        if seconds:
+            title = title.format(test=load.test.capitalize())
+            rows.append((title, str(len(seconds)), format_seconds(sum(seconds))))
+    total = sum(record.seconds for _, record in run.records)
+    return [*rows, ("Sum", "", format_seconds(total))] if rows else []
+
+
+def _versions(run: RunResults) -> list[tuple[str, str]]:
+    versions: dict[str, str] = {}
+    for _, record in run.records:
+        versions.update(record.versions)
+    versions = versions or package_versions()
+    for name in ("matplotlib", "pyvista", "vtk"):
+        try:
+            versions.setdefault(name, metadata.version(name))
+        except metadata.PackageNotFoundError:
+            continue
+    return sorted(versions.items(), key=lambda item: (item[0] != "perilife", item[0].lower()))
+
+
+def _machine() -> str:
+    machine = describe_machine()
+    return (
+        f"{machine['processor']}, {machine['cores']} cores, "
+        f"{format_bytes(machine['memory_bytes'])} memory, {platform.system()}"
+    )

@@ -1,0 +1,233 @@
+"""Command-line options that describe a scene, and how they become one."""
+
+import argparse
+import dataclasses
+from pathlib import Path
+
+from pipeline.scene.loads import LOADS
+from pipeline.scene.rate_law import kinetics_in_words
+from pipeline.scene.resolution import RESOLUTIONS
+from pipeline.scene.scene import (
+    BOUNDARIES,
+    CALIBRATIONS,
+    DAMAGE_UPDATES,
+    DISSOLUTION_LAWS,
+    DOMAIN_SHAPES,
+    LATERAL,
+    OMITTABLE,
+    SATURATIONS,
+    TIME_SCHEMES,
+    DomainSettings,
+    Scene,
+    ScrewGeometry,
+    SolidFile,
+)
+from pipeline.scene.screw import THREADS, ScrewParameters
+from pipeline.scene.units import METRES_PER, parse_angle, parse_length, parse_time
+
+_SCREW_LENGTHS = ("diameter", "length", "pitch", "slot_width", "slot_depth")
+
+
+def add_scene_options(parser: argparse.ArgumentParser) -> None:
+    """Add every option from which `scene_from_options` builds the scene."""
+    parser.add_argument(
+        "--alloy", nargs="+", required=True, metavar="A", help="alloy name, or TOML file of one"
+    )
+    parser.add_argument(
+        "--immersion", nargs="+", required=True, metavar="T", help="rising times: 8w, 56d, 36h"
+    )
+    parser.add_argument(
+        "--resolution", default="quick", metavar="R", help=f"{', '.join(RESOLUTIONS)} (quick)"
+    )
+    parser.add_argument(
+        "--parameters", metavar="SET", help="published parameter set, or TOML file of one"
+    )
+    parser.add_argument(
+        "--volume-loss",
+        action="append",
+        default=[],
+        metavar="ALLOY=FILE",
+        help="measured volume loss (CSV), plotted beside the result; may be repeated",
+    )
+    screw = parser.add_argument_group("geometry (lengths with unit: 2mm, 100um)")
+    for name in _SCREW_LENGTHS:
+        screw.add_argument(f"--{name.replace('_', '-')}", metavar="LENGTH")
+    screw.add_argument("--thread", metavar="KIND", help=", ".join(THREADS))
+    screw.add_argument("--solid", metavar="FILE", help="closed solid instead: STEP, BREP or STL")
+    screw.add_argument("--unit", metavar="U", help=f"of the solid: {', '.join(METRES_PER)} (mm)")
+    corrosion = parser.add_argument_group("corrosion, where the preset is not wanted")
+    corrosion.add_argument("--spacing", metavar="LENGTH", help="lattice spacing")
+    corrosion.add_argument("--horizon", metavar="LENGTH", help="the grips hold that much more, too")
+    corrosion.add_argument("--step", metavar="TIME", help="fixed time step (controlled)")
+    corrosion.add_argument("--rate-change", type=float, metavar="X", help="step control")
+    corrosion.add_argument("--scheme", metavar="S", help=", ".join(TIME_SCHEMES))
+    corrosion.add_argument("--saturation", metavar="S", help=", ".join(SATURATIONS))
+    corrosion.add_argument(
+        "--kinetics",
+        metavar="LAW",
+        help=f"of the rate, with its numbers (SI, ? may be left out): {kinetics_in_words()}; "
+        "as tafel:overpotential=0.02,slope=0.1 (volume_loss, l from the parameter set)",
+    )
+    corrosion.add_argument(
+        "--dissolution",
+        metavar="LAW",
+        help=f"of a bond: {', '.join(DISSOLUTION_LAWS)} (proportional, as published)",
+    )
+    corrosion.add_argument("--calibration", metavar="C", help=", ".join(CALIBRATIONS))
+    corrosion.add_argument(
+        "--tolerance",
+        type=float,
+        metavar="X",
+        help="of V_L, within which the march leaves out what it does not need (0.001)",
+    )
+    corrosion.add_argument(
+        "--keep",
+        nargs="+",
+        metavar="WHAT",
+        help="compute all the same, of what `perilife plan` lists as left out: "
+        + ", ".join(OMITTABLE),
+    )
+    corrosion.add_argument("--domain", metavar="SHAPE", help=", ".join(DOMAIN_SHAPES))
+    corrosion.add_argument("--boundary", metavar="B", help=", ".join(BOUNDARIES))
+    corrosion.add_argument("--radial-margin", metavar="LENGTH", help="liquid beside the solid")
+    corrosion.add_argument("--axial-margin", metavar="LENGTH", help="liquid above and below it")
+    tensile = parser.add_argument_group("tensile test, where the preset is not wanted")
+    tensile.add_argument(
+        "--load",
+        metavar="L",
+        help=f"{', '.join(LOADS)} (axial): the top grip is pulled, twisted or bent",
+    )
+    tensile.add_argument(
+        "--bending-azimuth", metavar="ANGLE", help="of the axis of bending from x, as 30deg (0deg)"
+    )
+    tensile.add_argument("--mesh-size", metavar="LENGTH", help="edge length in the bulk")
+    tensile.add_argument("--mesh-size-fine", metavar="LENGTH", help="at thread and slot")
+    tensile.add_argument("--element", metavar="E")
+    tensile.add_argument("--bottom-grip", metavar="LENGTH", help="held at the bottom (as the top)")
+    tensile.add_argument(
+        "--top-grip", metavar="LENGTH", help="held at the top (slot and horizon; 0mm: end face)"
+    )
+    tensile.add_argument("--lateral", metavar="L", help=f"grips leave it {' or '.join(LATERAL)}")
+    tensile.add_argument(
+        "--peak-drop",
+        type=float,
+        metavar="X",
+        help="end a test when the force has fallen by this fraction (0.05); 1: the whole curve",
+    )
+    tensile.add_argument("--final-strain", type=float, metavar="X", help="nominal (0.1)")
+    tensile.add_argument("--increment", type=float, metavar="X", help="largest strain increment")
+    tensile.add_argument(
+        "--damage",
+        metavar="D",
+        help=f"how f grows: {', '.join(DAMAGE_UPDATES)} (one f per cell; implicit: as published)",
+    )
+    tensile.add_argument(
+        "--damage-length", metavar="LENGTH", help="over which the growth of f is averaged (0mm)"
+    )
+
+
+def scene_from_options(options: argparse.Namespace) -> Scene:
+    """Build the scene that the options describe; ValueError or OSError with one sentence."""
+    from pipeline.scene.resolve import DEFAULT_PARAMETER_SET, resolve_scene
+
+    def length(name: str) -> float | None:
+        text = getattr(options, name)
+        return None if text is None else parse_length(text, name.replace("_", " "))
+
+    def given(**names: str) -> dict[str, object]:
+        values = {field: getattr(options, name) for field, name in names.items()}
+        return {field: value for field, value in values.items() if value is not None}
+
+    corrosion = given(
+        scheme="scheme",
+        saturation="saturation",
+        dissolution="dissolution",
+        kinetics="kinetics",
+        calibration="calibration",
+        rate_change="rate_change",
+        tolerance="tolerance",
+    )
+    if options.keep:
+        corrosion["keep"] = tuple(options.keep)
+    if options.step is not None:
+        corrosion["step"] = parse_time(options.step, "step").seconds
+    tensile = given(
+        element="element",
+        lateral="lateral",
+        final_strain="final_strain",
+        increment="increment",
+        peak_drop="peak_drop",
+        damage="damage",
+        load="load",
+    )
+    if options.bending_azimuth is not None:
+        tensile["bending_azimuth"] = parse_angle(options.bending_azimuth, "bending azimuth")
+    for name in ("bottom_grip", "top_grip", "damage_length"):
+        if getattr(options, name) is not None:
+            tensile[name] = length(name)
+    scene = resolve_scene(
+        options.alloy,
+        options.immersion,
+        options.resolution,
+        parameter_set=options.parameters or DEFAULT_PARAMETER_SET,
+        geometry=_geometry(options),
+        spacing=length("spacing"),
+        horizon=length("horizon"),
+        mesh_size=length("mesh_size"),
+        mesh_size_fine=length("mesh_size_fine"),
+        domain=_domain(options),
+        corrosion=corrosion,
+        tensile=tensile,
+        measured_volume_loss=_measured(options),
+    )
+    if options.kinetics is not None:
+        from pipeline.scene.resolve import rate_law
+
+        rate_law(scene, scene.alloys[0].name)  # refuses numbers out of range
+    return scene
+
+
+def _geometry(options: argparse.Namespace) -> ScrewGeometry | SolidFile:
+    from pipeline.scene.resolve import solid_file
+
+    screw = {
+        name: parse_length(getattr(options, name), name.replace("_", " "))
+        for name in _SCREW_LENGTHS
+        if getattr(options, name) is not None
+    }
+    if options.thread is not None:
+        screw["thread"] = options.thread
+    if options.solid is None:
+        if options.unit is not None:
+            raise ValueError("--unit goes with --solid, which must be given too")
+        return ScrewGeometry(ScrewParameters(**screw))
+    if screw:
+        name = next(iter(screw)).replace("_", "-")
+        raise ValueError(f"--{name} describes the parametric screw and must not join --solid")
+    return solid_file(options.solid, options.unit or "mm")
+
+
+def _domain(options: argparse.Namespace) -> DomainSettings | None:
+    changes = {
+        name: parse_length(getattr(options, name), name.replace("_", " "))
+        for name in ("radial_margin", "axial_margin")
+        if getattr(options, name) is not None
+    }
+    if options.domain is not None:
+        changes["shape"] = options.domain
+    if options.boundary is not None:
+        changes["boundary"] = options.boundary
+    return dataclasses.replace(DomainSettings(), **changes) if changes else None
+
+
+def _measured(options: argparse.Namespace) -> dict[str, str]:
+    import perilife_data
+
+    files: dict[str, str] = {}
+    for text in options.volume_loss:
+        alloy, equals, path = text.partition("=")
+        if not equals or not alloy or not path:
+            raise ValueError(f"volume loss '{text}' is not understood; write ALLOY=FILE.csv")
+        perilife_data.read_volume_loss_csv(path)
+        files[alloy] = str(Path(path).resolve())
+    return files

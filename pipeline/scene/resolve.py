@@ -1,0 +1,165 @@
+"""From names to numbers: builds the resolved scene out of presets, data files and options."""
+
+import hashlib
+from pathlib import Path
+
+import perilife_data
+from fem.constitutive.hardening import fit_voce
+from pipeline.scene.rate_law import read_kinetics
+from pipeline.scene.resolution import resolution
+from pipeline.scene.scene import (
+    AlloyScene,
+    CorrosionParameters,
+    CorrosionSettings,
+    DomainSettings,
+    LatticeSettings,
+    MaterialParameters,
+    MeshSettings,
+    Scene,
+    ScrewGeometry,
+    SolidFile,
+    TensileScene,
+)
+from pipeline.scene.units import METRES_PER, parse_immersion_times
+
+DEFAULT_PARAMETER_SET = "table-5.1"
+SOLID_SUFFIXES = (".step", ".stp", ".brep", ".stl")
+
+
+def resolve_scene(
+    alloys: list[str],
+    immersion: list[str],
+    resolution_name: str = "quick",
+    *,
+    parameter_set: str = DEFAULT_PARAMETER_SET,
+    geometry: ScrewGeometry | SolidFile | None = None,
+    spacing: float | None = None,
+    horizon: float | None = None,
+    mesh_size: float | None = None,
+    mesh_size_fine: float | None = None,
+    domain: DomainSettings | None = None,
+    corrosion: dict[str, object] | None = None,
+    tensile: dict[str, object] | None = None,
+    measured_volume_loss: dict[str, str] | None = None,
+) -> Scene:
+    """Build the scene of a run.
+
+    alloys: names of shipped alloys or paths of TOML files; immersion: times as typed (`8w`);
+    parameter_set: name of a shipped set or path of a TOML file; lengths in m where the
+    preset is not to be used; corrosion, tensile: fields of CorrosionSettings and
+    TensileScene that differ from their defaults; measured_volume_loss: CSV file per alloy,
+    plotted beside the result.
+
+    Raises ValueError or FileNotFoundError with one sentence for whatever cannot be computed.
+    """
+    preset = resolution(resolution_name)
+    times = parse_immersion_times(immersion)
+    parameters = perilife_data.load_parameter_set(parameter_set)
+    scenes = tuple(_alloy_scene(name, parameters) for name in alloys)
+    corrosion = dict(corrosion or {})
+    exponents = {float(parameters.for_alloy(a.name).kernel_exponent) for a in scenes}
+    corrosion.setdefault("rate_change", preset.rate_change)
+    corrosion.setdefault("kernel_exponent", exponents.pop() if len(exponents) == 1 else 0.0)
+    geometry = geometry or ScrewGeometry()
+    horizon = preset.horizon if horizon is None else horizon
+    held = grip_length(geometry, horizon)
+    defaults = {
+        "element": preset.element,
+        "increment": preset.increment,
+        "bottom_grip": held,
+        "top_grip": held,
+    }
+    load = (tensile or {}).get("load", "axial")
+    if load != "axial":
+        defaults["lateral"] = "clamped"
+    if load == "bending":
+        defaults["bending_azimuth"] = 0.0
+    size = preset.mesh_size if mesh_size is None else mesh_size
+    fine = preset.mesh_size_fine if mesh_size_fine is None else mesh_size_fine
+    if mesh_size_fine is None and mesh_size is not None:
+        fine = min(fine, size)
+    spacing = preset.spacing if spacing is None else spacing
+    return Scene(
+        resolution=resolution_name,
+        parameter_set=parameter_set,
+        geometry=geometry,
+        immersion=times,
+        alloys=scenes,
+        lattice=LatticeSettings(spacing, horizon),
+        domain=domain or DomainSettings(boundary=parameters.scene.boundary),
+        corrosion=CorrosionSettings(**corrosion),
+        mesh=MeshSettings(size, fine),
+        tensile=TensileScene(**{**defaults, **(tensile or {})}),
+        measured_volume_loss=dict(measured_volume_loss or {}),
+    )
+
+
+def grip_length(geometry: ScrewGeometry | SolidFile, horizon: float) -> float:
+    """Length of either end that the grips hold unless the scene says otherwise (m).
+
+    The depth of the slot and, below it, a horizon: as deep as an end corrodes while its outermost
+    metal is still there; both ends alike, so that the middle is tested.  Grips on the end faces
+    pull off that crust instead (`pipeline/README.md`).
+    """
+    screw = isinstance(geometry, ScrewGeometry)
+    return (geometry.parameters.slot_depth if screw else 0.0) + horizon
+
+
+def solid_file(path: str | Path, unit: str) -> SolidFile:
+    """Describe a solid from a file; refuses a missing file, another format, a wrong unit."""
+    path = Path(path)
+    if unit not in METRES_PER:
+        raise ValueError(f"unit is '{unit}'; it must be one of {', '.join(METRES_PER)}")
+    if path.suffix.lower() not in SOLID_SUFFIXES:
+        raise ValueError(f"solid is '{path}'; the file must end in {', '.join(SOLID_SUFFIXES)}")
+    if not path.is_file():
+        raise FileNotFoundError(f"solid is '{path}'; there is no such file")
+    return SolidFile(str(path.resolve()), unit, hashlib.sha256(path.read_bytes()).hexdigest())
+
+
+def _alloy_scene(name: str, parameter_set: perilife_data.ParameterSet) -> AlloyScene:
+    """The constants of one alloy: corrosion from the parameter set, mechanics from its file.
+
+    The hardening curve is Voce's, fitted through yield stress, ultimate strength and uniform
+    strain.
+    """
+    alloy = perilife_data.load_alloy(name)
+    fitted = parameter_set.for_alloy(alloy.name)
+    scene = parameter_set.scene
+    hardening = fit_voce(
+        float(alloy.yield_stress),
+        float(alloy.ultimate_tensile_strength),
+        float(alloy.uniform_strain),
+    )
+    return AlloyScene(
+        name=alloy.name,
+        source=str(name),
+        corrosion=CorrosionParameters(
+            solid_concentration=float(fitted.solid_concentration),
+            saturation_concentration=float(fitted.saturation_concentration),
+            liquid_diffusivity=float(fitted.liquid_diffusivity),
+            interface_diffusivity=float(fitted.interface_diffusivity),
+            volume_loss_scale=float(fitted.volume_loss_scale),
+            calibration_spacing=float(scene.spacing),
+            calibration_horizon=float(scene.spacing) * float(scene.horizon_ratio),
+            calibration=scene.calibration,
+        ),
+        material=MaterialParameters(
+            young_modulus=float(alloy.young_modulus),
+            poisson_ratio=float(alloy.poisson_ratio),
+            initial_yield_stress=hardening.s0,
+            hardening_capacity=hardening.Q,
+            hardening_rate=hardening.b,
+            q1=float(alloy.q1),
+        ),
+    )
+
+
+def rate_law(scene: Scene, alloy: str) -> object:
+    """The kinetics of an alloy; l of the volume-loss law is the parameter set's unless given."""
+    from peri.corrosion.kinetics import KINETICS
+
+    name, numbers = read_kinetics(scene.corrosion.kinetics)
+    if name == "volume_loss":
+        numbers.setdefault("length", scene.alloy(alloy).corrosion.volume_loss_scale)
+    return KINETICS[name](**numbers)

@@ -1,0 +1,445 @@
+"""The resolved scene: every number a run depends on, checked, stored and hashed.
+
+A scene is built once (pipeline.scene.resolve), written as `scene.json` and never changed; each
+stage reads its numbers from it (pipeline.record.stage_hashes says which).
+"""
+
+import dataclasses
+import hashlib
+import json
+import math
+import types
+import typing
+from dataclasses import dataclass, field
+
+from fem.quadrature import ELEMENTS
+from peri.engine.marching import SCHEMES as TIME_SCHEMES
+from pipeline.scene.loads import LOADS
+from pipeline.scene.rate_law import read_kinetics
+from pipeline.scene.screw import ScrewParameters
+from pipeline.scene.units import ImmersionTime, format_length
+
+SCHEMA_VERSION = 1
+DOMAIN_SHAPES = ("cylinder", "ball")
+BOUNDARIES = ("refreshed", "no_flux")
+SATURATIONS = ("complementarity", "as_published", "none")
+DISSOLUTION_LAWS = ("proportional", "faradaic")
+OMITTABLE = ("liquid", "far_liquid")
+"""What a march can be kept from leaving out; as in peri.omissions.planning, slow to import."""
+
+CALIBRATIONS = ("discrete", "closed")
+LATERAL = ("free", "clamped")
+DAMAGE_UPDATES = ("cell", "point", "implicit")
+"""How f grows; named as in fem.settings, which is slow to import."""
+
+
+class SceneError(ValueError):
+    """A scene that cannot be computed; the message names field, value and what is allowed."""
+
+
+def _check(condition: bool, name: str, value: object, allowed: str) -> None:
+    if not condition:
+        raise SceneError(f"{name} is {value}; it must be {allowed}")
+
+
+def _positive(name: str, value: float) -> None:
+    _check(math.isfinite(value) and value > 0, name, value, "a finite number above 0")
+
+
+def _one_of(name: str, value: str, allowed: tuple[str, ...]) -> None:
+    _check(value in allowed, name, f"'{value}'", f"one of {', '.join(allowed)}")
+
+
+@dataclass(frozen=True)
+class ScrewGeometry:
+    """The parametric screw of pipeline.scene.screw; its axis is z, the slot is at z = length."""
+
+    parameters: ScrewParameters = field(default_factory=ScrewParameters)
+    kind: str = "screw"
+
+
+@dataclass(frozen=True)
+class SolidFile:
+    """A closed solid from a STEP, BREP or STL file; sha256 is that of the file's content."""
+
+    path: str
+    unit: str
+    sha256: str
+    kind: str = "file"
+
+
+@dataclass(frozen=True)
+class LatticeSettings:
+    """Spacing and horizon of the peridynamic lattice (m); samples per axis and cell for the
+    volume fraction."""
+
+    spacing: float
+    horizon: float
+    samples: int = 4
+
+    def __post_init__(self) -> None:
+        _positive("lattice spacing", self.spacing)
+        ratio = self.horizon / self.spacing
+        _check(
+            0.999 <= ratio <= 8.001,
+            "horizon",
+            format_length(self.horizon),
+            f"1 to 8 lattice spacings of {format_length(self.spacing)}",
+        )
+        _check(1 <= self.samples <= 16, "samples per axis", self.samples, "1 to 16")
+
+
+@dataclass(frozen=True)
+class DomainSettings:
+    """Liquid around the solid: a cylinder along z or a ball, centred on the solid.
+
+    radial_margin, axial_margin: distance of the domain's outer surface from the solid (m); the
+    ball uses the radial one.  With boundary "refreshed" the outermost layer, one horizon wide,
+    holds the refreshed medium.  The defaults give the M2 x 4 mm screw the cylinder of 3 mm x
+    4.8 mm in which Table 5.1 was calibrated.
+    """
+
+    shape: str = "cylinder"
+    radial_margin: float = 0.5e-3
+    axial_margin: float = 0.4e-3
+    boundary: str = "refreshed"
+
+    def __post_init__(self) -> None:
+        _one_of("domain shape", self.shape, DOMAIN_SHAPES)
+        _one_of("boundary", self.boundary, BOUNDARIES)
+        _positive("radial margin", self.radial_margin)
+        _positive("axial margin", self.axial_margin)
+
+
+@dataclass(frozen=True)
+class CorrosionSettings:
+    """How the bi-material model is solved: law of a bond, time stepping, saturation, constants.
+
+    kinetics: how the rate changes, NAME or NAME:number=value,... (pipeline.scene.rate_law).
+    dissolution: what a bond between metal and liquid carries (peri.corrosion.scene).
+    step: fixed time step (s); None lets rate_change control it (peri.engine.marching.TimeStepping).
+    tolerance: error of V_L, relative, up to which the march leaves out what the scene does not
+    need (peri.omissions.planning); keep: what to compute all the same.
+    """
+
+    scheme: str = "sdirk2"
+    step: float | None = None
+    rate_change: float = 0.05
+    saturation: str = "complementarity"
+    kinetics: str = "volume_loss"
+    dissolution: str = "proportional"
+    calibration: str = "discrete"
+    influence: str = "constant"
+    kernel_exponent: float = 0.0
+    tolerance: float = 1e-3
+    keep: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.step is not None:
+            _positive("corrosion step", self.step)
+        _check(0 <= self.tolerance < 1, "tolerance", self.tolerance, "in [0, 1)")
+        for name in self.keep:
+            _one_of("keep", name, OMITTABLE)
+        _check(0 < self.rate_change <= 1, "rate change", self.rate_change, "in (0, 1]")
+        _one_of("time scheme", self.scheme, TIME_SCHEMES)
+        _one_of("saturation", self.saturation, SATURATIONS)
+        _one_of("dissolution", self.dissolution, DISSOLUTION_LAWS)
+        try:
+            read_kinetics(self.kinetics)
+        except ValueError as error:
+            raise SceneError(str(error)) from None
+        if self.saturation == "as_published":
+            implicit = "backward_euler or forward_euler where saturation is as_published"
+            _check(self.scheme != "sdirk2", "time scheme", self.scheme, implicit)
+        if self.dissolution == "faradaic":
+            bounded = "complementarity or none where dissolution is faradaic"
+            _check(self.saturation != "as_published", "saturation", self.saturation, bounded)
+            implicit = "sdirk2 or backward_euler where dissolution is faradaic"
+            _check(self.scheme != "forward_euler", "time scheme", self.scheme, implicit)
+        _one_of("calibration", self.calibration, CALIBRATIONS)
+        _one_of("influence function", self.influence, ("constant", "linear"))
+        _check(0 <= self.kernel_exponent < 1, "kernel exponent", self.kernel_exponent, "in [0, 1)")
+
+
+@dataclass(frozen=True)
+class CorrosionParameters:
+    """Constants of the bi-material model for one alloy, SI (mol/m^3, m^2/s, m).
+
+    interface_diffusivity belongs to the lattice and stencil constants it was calibrated on
+    (calibration_spacing, calibration_horizon, calibration); pipeline.stages.corrosion turns it
+    into a dissolution flux there, once.
+    volume_loss_scale is l of Eq. 5.13, dimensionless.
+    """
+
+    solid_concentration: float
+    saturation_concentration: float
+    liquid_diffusivity: float
+    interface_diffusivity: float
+    volume_loss_scale: float
+    calibration_spacing: float = 100e-6
+    calibration_horizon: float = 200e-6
+    calibration: str = "closed"
+
+    def __post_init__(self) -> None:
+        for name in dataclasses.fields(self):
+            if name.name != "calibration":
+                _positive(name.name.replace("_", " "), getattr(self, name.name))
+        _one_of("calibration", self.calibration, CALIBRATIONS)
+        _check(
+            self.saturation_concentration < self.solid_concentration,
+            "saturation concentration",
+            f"{self.saturation_concentration} mol/m^3",
+            f"below the solid concentration, {self.solid_concentration} mol/m^3",
+        )
+
+
+@dataclass(frozen=True)
+class MaterialParameters:
+    """Elasticity (Pa), Voce hardening s0 + Q (1 - exp(-b eps)) (Pa, Pa, 1) and q1."""
+
+    young_modulus: float
+    poisson_ratio: float
+    initial_yield_stress: float
+    hardening_capacity: float
+    hardening_rate: float
+    q1: float = 1.5
+
+    def __post_init__(self) -> None:
+        _positive("Young modulus", self.young_modulus)
+        _check(
+            -1 < self.poisson_ratio < 0.5,
+            "Poisson ratio",
+            self.poisson_ratio,
+            "above -1 and below 0.5",
+        )
+        _positive("initial yield stress", self.initial_yield_stress)
+        capacity = self.hardening_capacity
+        finite = math.isfinite(capacity) and capacity >= 0
+        _check(finite, "hardening capacity", capacity, "a finite number, at least 0")
+        _positive("hardening rate", self.hardening_rate)
+        _check(1 < self.q1 < 10, "q1", self.q1, "above 1 and below 10")
+
+
+@dataclass(frozen=True)
+class AlloyScene:
+    """One alloy of the scene: its name, where it came from, and its constants."""
+
+    name: str
+    corrosion: CorrosionParameters
+    material: MaterialParameters
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        _check(
+            bool(self.name) and "/" not in self.name and not self.name.startswith("."),
+            "alloy name",
+            f"'{self.name}'",
+            "a name without '/' that does not start with a dot",
+        )
+
+
+@dataclass(frozen=True)
+class MeshSettings:
+    """Edge length of the tetrahedra in the bulk and at thread and slot (m)."""
+
+    size: float
+    size_fine: float
+
+    def __post_init__(self) -> None:
+        _positive("mesh size", self.size)
+        _positive("fine mesh size", self.size_fine)
+        _check(
+            self.size_fine <= self.size,
+            "fine mesh size",
+            format_length(self.size_fine),
+            f"at most the mesh size, {format_length(self.size)}",
+        )
+
+
+@dataclass(frozen=True)
+class TensileScene:
+    """The mechanical test: load, element, nominal strain at the end, largest increment, grips.
+
+    load: the top grip is pulled ("axial"), turned about the axis ("torsion") or about a lateral
+    axis ("bending") at the angle bending_azimuth (rad) from x, None where nothing is bent; nominal
+    strain is then that of the surface, angle times radius over length, and the grips hold fully.
+    The length of a strain is that between the grips.
+    bottom_grip, top_grip: held lengths at the ends (m), 0 holds the end faces only; lateral:
+    whether grips leave lateral motion free; peak_drop: the test ends when the force (torque,
+    moment) has fallen by this fraction below its peak, or at the final strain; 1 asks for the
+    whole curve; damage, damage_length: how f grows and over which length (m) its growth is
+    averaged (fem.settings).
+    """
+
+    element: str = "P2"
+    final_strain: float = 0.10
+    increment: float = 0.005
+    bottom_grip: float = 0.0
+    top_grip: float = 0.0
+    lateral: str = "free"
+    peak_drop: float = 0.05
+    damage: str = "cell"
+    damage_length: float = 0.0
+    load: str = "axial"
+    bending_azimuth: float | None = None
+
+    def __post_init__(self) -> None:
+        _one_of("element", self.element, tuple(ELEMENTS))
+        _one_of("lateral", self.lateral, LATERAL)
+        _one_of("load", self.load, tuple(LOADS))
+        _check(
+            self.load == "axial" or self.lateral == "clamped",
+            "lateral",
+            f"'{self.lateral}'",
+            f"clamped where the load is {self.load}, which only grips that hold fully can apply",
+        )
+        azimuth = self.bending_azimuth
+        _check(
+            azimuth is None or self.load == "bending",
+            "bending azimuth",
+            f"{azimuth} rad",
+            f"left out where the load is {self.load}",
+        )
+        _check(azimuth is None or math.isfinite(azimuth), "bending azimuth", azimuth, "finite")
+        _one_of("damage", self.damage, DAMAGE_UPDATES)
+        _check(0 < self.peak_drop <= 1, "peak drop", self.peak_drop, "in (0, 1]")
+        _check(
+            self.damage_length == 0 or self.damage == "cell",
+            "damage",
+            self.damage,
+            "cell where a damage length is given",
+        )
+        for name in ("bottom_grip", "top_grip", "damage_length"):
+            value = getattr(self, name)
+            _check(math.isfinite(value) and value >= 0, name.replace("_", " "), value, "at least 0")
+        _check(0 < self.final_strain <= 1, "final strain", self.final_strain, "in (0, 1]")
+        _check(
+            0 < self.increment <= self.final_strain,
+            "tensile increment",
+            self.increment,
+            f"above 0 and at most the final strain, {self.final_strain}",
+        )
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Every number of a run, SI; `resolution` and `parameter_set` only say where from."""
+
+    resolution: str
+    parameter_set: str
+    geometry: ScrewGeometry | SolidFile
+    immersion: tuple[ImmersionTime, ...]
+    alloys: tuple[AlloyScene, ...]
+    lattice: LatticeSettings
+    domain: DomainSettings
+    corrosion: CorrosionSettings
+    mesh: MeshSettings
+    tensile: TensileScene
+    measured_volume_loss: dict[str, str] = field(default_factory=dict)
+    schema_version: int = SCHEMA_VERSION
+
+    def __post_init__(self) -> None:
+        _check(bool(self.alloys), "list of alloys", "empty", "at least one alloy")
+        names = [alloy.name for alloy in self.alloys]
+        _check(len(set(names)) == len(names), "list of alloys", names, "without repetition")
+        _check(bool(self.immersion), "list of immersion times", "empty", "at least one time")
+        seconds = [time.seconds for time in self.immersion]
+        _check(
+            seconds[0] >= 0 and all(a < b for a, b in zip(seconds, seconds[1:], strict=False)),
+            "list of immersion times",
+            [time.label for time in self.immersion],
+            "at least 0 and rising",
+        )
+        least = self.lattice.horizon + self.lattice.spacing
+        for name in ("radial_margin", "axial_margin"):
+            margin = getattr(self.domain, name)
+            _check(
+                margin >= least - 1e-12 or self.domain.boundary != "refreshed",
+                name.replace("_", " "),
+                format_length(margin),
+                f"at least horizon plus lattice spacing, {format_length(least)}",
+            )
+
+    def alloy(self, name: str) -> AlloyScene:
+        """The alloy called `name`; SceneError names those of the scene."""
+        for alloy in self.alloys:
+            if alloy.name == name:
+                return alloy
+        known = ", ".join(alloy.name for alloy in self.alloys)
+        raise SceneError(f"alloy '{name}' is not part of this run; it has {known}")
+
+    def time(self, label: str) -> ImmersionTime:
+        """The immersion time called `label`; SceneError names those of the scene."""
+        for time in self.immersion:
+            if time.label == label:
+                return time
+        known = ", ".join(time.label for time in self.immersion)
+        raise SceneError(f"immersion time '{label}' is not part of this run; it has {known}")
+
+    def with_intact(self) -> tuple[ImmersionTime, ...]:
+        """The immersion times with time zero in front, which the strength ratio needs."""
+        if self.immersion[0].seconds == 0:
+            return self.immersion
+        return (ImmersionTime("0w", 0.0), *self.immersion)
+
+    def to_json(self) -> dict:
+        """Plain mapping that `scene_from_json` turns back into an equal scene."""
+        return json.loads(json.dumps(dataclasses.asdict(self), allow_nan=False))
+
+    def hash(self) -> str:
+        """Hash of everything in the scene."""
+        return content_hash(self.to_json())
+
+
+def content_hash(*parts: object) -> str:
+    """SHA-256 of the canonical JSON of `parts` (sorted keys, shortest round-trip floats)."""
+    text = json.dumps(parts, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def scene_from_json(content: dict) -> Scene:
+    """Rebuild and check a scene; SceneError when a field is missing, unknown or wrong."""
+    if not isinstance(content, dict):
+        raise SceneError("scene file does not hold a JSON object, which it must")
+    version = content.get("schema_version")
+    _check(version == SCHEMA_VERSION, "schema version of the scene", version, f"{SCHEMA_VERSION}")
+    return _build(Scene, content, "scene")
+
+
+def _build(kind: typing.Any, value: typing.Any, where: str) -> typing.Any:
+    """Turn parsed JSON into `kind`, following the type hints of the dataclasses."""
+    origin = typing.get_origin(kind)
+    if origin in (types.UnionType, typing.Union):
+        options = [option for option in typing.get_args(kind) if option is not type(None)]
+        if len(options) == 1:
+            return None if value is None else _build(options[0], value, where)
+        tags = {option.kind: option for option in options}
+        tag = value.get("kind") if isinstance(value, dict) else None
+        _check(tag in tags, f"kind of {where}", tag, f"one of {', '.join(tags)}")
+        return _build(tags[tag], value, where)
+    if origin is tuple:
+        _check(isinstance(value, list), where, value, "a list")
+        inner = typing.get_args(kind)[0]
+        return tuple(_build(inner, item, f"{where}[{n}]") for n, item in enumerate(value))
+    if dataclasses.is_dataclass(kind):
+        _check(isinstance(value, dict), where, value, "an object")
+        hints = typing.get_type_hints(kind)
+        unknown = sorted(set(value) - set(hints))
+        _check(not unknown, f"field '{', '.join(unknown)}' of {where}", "unknown", "left out")
+        missing = sorted(
+            f.name
+            for f in dataclasses.fields(kind)
+            if f.name not in value
+            and f.default is dataclasses.MISSING
+            and f.default_factory is dataclasses.MISSING
+        )
+        _check(not missing, f"field '{', '.join(missing)}' of {where}", "missing", "given")
+        return kind(**{k: _build(hints[k], v, f"{where}.{k}") for k, v in value.items()})
+    if kind is float:
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        _check(number, where, repr(value), "a number")
+        return float(value)
+    if kind in (int, str, bool):
+        exact = type(value) is kind
+        _check(exact, where, repr(value), f"of type {kind.__name__}")
+    return value

@@ -1,0 +1,229 @@
+"""The corrosion stage: from the solid to concentration fields at the immersion times.
+
+`corrosion_scene` joins solid, lattice and constants; `corrode_alloy` marches once for all times
+of one alloy and writes checkpoint, fields, history.csv and the ParaView series.
+"""
+
+import logging
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from peri.corrosion.results import write_corrosion, write_history, write_image_series
+from peri.corrosion.run import CorrosionResult
+from peri.corrosion.scene import CorrosionScene
+from peri.engine.checkpoints import CheckpointError
+from peri.engine.influence import diffusion_stencil
+from peri.engine.lattice import Lattice, ball, box_lattice, cylinder
+from peri.engine.marching import TimeStepping
+from peri.omissions.planning import Omission, corrode_lean, plan_omissions
+from pipeline.geometry.surface import Solid
+from pipeline.geometry.voxels import metal_fraction
+from pipeline.scene.resolve import rate_law
+from pipeline.scene.scene import CorrosionParameters, Scene
+from pipeline.stages.geometry import read_surface
+
+logger = logging.getLogger(__name__)
+
+CORROSION_FILE = "corrosion.h5"
+CHECKPOINT_FILE = "checkpoint.h5"
+HISTORY_FILE = "history.csv"
+
+
+@dataclass(frozen=True)
+class LiquidDomain:
+    """The region around a solid that is computed: a cylinder along z or a ball (m)."""
+
+    shape: str
+    centre: tuple[float, float, float]
+    radius: float
+    height: float
+
+    @property
+    def lower(self) -> tuple[float, float, float]:
+        """Lower corner of the box that holds the region."""
+        x, y, z = self.centre
+        return (x - self.radius, y - self.radius, z - self.height / 2)
+
+    @property
+    def upper(self) -> tuple[float, float, float]:
+        """Upper corner of the box that holds the region."""
+        x, y, z = self.centre
+        return (x + self.radius, y + self.radius, z + self.height / 2)
+
+
+def liquid_domain(scene: Scene, surface_points: NDArray[np.float64]) -> LiquidDomain:
+    """The region that keeps the scene's margins around the solid with these surface points.
+
+    surface_points: (n, 3), m.  The centre is that of the solid's bounding box.
+    """
+    lower, upper = surface_points.min(axis=0), surface_points.max(axis=0)
+    centre = 0.5 * (lower + upper)
+    offset = surface_points - centre
+    if scene.domain.shape == "ball":
+        radius = float(np.linalg.norm(offset, axis=1).max()) + scene.domain.radial_margin
+        height = 2 * radius
+    else:
+        radius = float(np.hypot(offset[:, 0], offset[:, 1]).max()) + scene.domain.radial_margin
+        height = float(upper[2] - lower[2]) + 2 * scene.domain.axial_margin
+    return LiquidDomain(scene.domain.shape, tuple(map(float, centre)), radius, height)
+
+
+def domain_lattice(scene: Scene, domain: LiquidDomain) -> tuple[Lattice, NDArray[np.bool_]]:
+    """The lattice that covers the region, and which of its nodes lie in it."""
+    lattice = box_lattice(domain.lower, domain.upper, scene.lattice.spacing)
+    return lattice, in_domain(lattice, domain)
+
+
+def in_domain(lattice: Lattice, domain: LiquidDomain) -> NDArray[np.bool_]:
+    """Which nodes of a lattice lie in the region."""
+    if domain.shape == "ball":
+        return ball(lattice, domain.centre, domain.radius)
+    return cylinder(lattice, domain.centre, domain.radius, domain.height)
+
+
+def dissolution_flux(parameters: CorrosionParameters, kernel_exponent: float) -> float:
+    """Flux at zero volume loss that the published D_int stands for, mol/(m^2 s).
+
+    D_int C_solid S with the front strength S (mean over orientations) of the stencil on which
+    D_int was calibrated; stated as a flux it does not change with the lattice.
+    """
+    spacing = parameters.calibration_spacing
+    stencil = diffusion_stencil(
+        Lattice((0.0, 0.0, 0.0), (spacing,) * 3, (1, 1, 1)),
+        parameters.calibration_horizon,
+        kernel_exponent,
+        calibration=parameters.calibration,
+    )
+    strength = stencil.mean_strength()
+    return parameters.interface_diffusivity * parameters.solid_concentration * strength
+
+
+def corrosion_scene(
+    scene: Scene,
+    alloy: str,
+    lattice: Lattice,
+    domain: NDArray[np.bool_],
+    metal: NDArray[np.bool_],
+    metal_fraction: NDArray[np.float64],
+) -> CorrosionScene:
+    """The peridynamic scene of one alloy on a lattice whose nodes are known to be metal or not."""
+    parameters, settings = scene.alloy(alloy).corrosion, scene.corrosion
+    if not metal.any():
+        raise ValueError(
+            f"lattice spacing is {scene.lattice.spacing:g} m; no node lies in the solid, so it "
+            "must be smaller"
+        )
+    return CorrosionScene(
+        lattice=lattice,
+        horizon=scene.lattice.horizon,
+        metal=metal,
+        domain=domain | metal,
+        metal_fraction=metal_fraction,
+        boundary=scene.domain.boundary,
+        solid_concentration=parameters.solid_concentration,
+        saturation_concentration=parameters.saturation_concentration,
+        liquid_diffusivity=parameters.liquid_diffusivity,
+        dissolution_flux=dissolution_flux(parameters, settings.kernel_exponent),
+        kinetics=rate_law(scene, alloy),
+        kernel_exponent=settings.kernel_exponent,
+        influence=settings.influence,
+        calibration=settings.calibration,
+        saturation=settings.saturation,
+        dissolution=settings.dissolution,
+    )
+
+
+def metal_of(
+    scene: Scene, lattice: Lattice, solid: Solid
+) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    """Which nodes lie in the solid, and the metal share of each cell."""
+    return metal_fraction(
+        solid, lattice.origin, lattice.spacing, lattice.shape, samples=scene.lattice.samples
+    )
+
+
+def march_omissions(scene: Scene, solid: Solid) -> list[tuple[str, Omission]]:
+    """What the march of each alloy would leave out or needs, with its bound: (alloy, omission)."""
+    lattice, domain = domain_lattice(scene, liquid_domain(scene, solid.points))
+    metal, fraction = metal_of(scene, lattice, solid)
+    end = max(time.seconds for time in scene.immersion)
+    return [
+        (alloy.name, omission)
+        for alloy in scene.alloys
+        for omission in plan_omissions(
+            corrosion_scene(scene, alloy.name, lattice, domain, metal, fraction),
+            end,
+            scene.corrosion.tolerance,
+            scene.corrosion.keep,
+        )
+    ]
+
+
+def corrode_in_folder(
+    scene: Scene,
+    alloy: str,
+    geometry: Path,
+    out: Path,
+    advanced: Callable[[float, str], None] | None = None,
+    checkpoint_every: float = 30.0,
+) -> tuple[list[Path], dict[str, object]]:
+    """March one alloy through all immersion times of the scene (time zero included).
+
+    Writes corrosion.h5, history.csv and the ParaView series to `out` and goes on from a
+    checkpoint that an interrupted march of the same scene left there.  Returns the files and the
+    numbers worth keeping: V_L per immersion time (nt,), the worst balance error, sizes.
+    """
+    solid = read_surface(geometry)
+    lattice, domain = domain_lattice(scene, liquid_domain(scene, solid.points))
+    metal, fraction = metal_of(scene, lattice, solid)
+    corrosion = corrosion_scene(scene, alloy, lattice, domain, metal, fraction)
+    checkpoint = out / CHECKPOINT_FILE
+    times = [time.seconds for time in scene.with_intact()]
+
+    def march(resume: bool) -> tuple[CorrosionResult, list[Omission]]:
+        return corrode_lean(
+            corrosion,
+            times,
+            TimeStepping(
+                scheme=scene.corrosion.scheme,
+                step=scene.corrosion.step,
+                rate_change=scene.corrosion.rate_change,
+            ),
+            tolerance=scene.corrosion.tolerance,
+            refused=scene.corrosion.keep,
+            progress=advanced,
+            checkpoint=checkpoint,
+            resume=resume,
+            checkpoint_every=checkpoint_every,
+        )
+
+    try:
+        result, omissions = march(checkpoint.exists())
+    except CheckpointError as error:
+        logger.warning("%s; the march starts anew", error)
+        checkpoint.unlink()
+        result, omissions = march(False)
+    write_corrosion(out / CORROSION_FILE, result)
+    write_history(out / HISTORY_FILE, result.history)
+    write_image_series(out, result)
+    checkpoint.unlink(missing_ok=True)
+    balance = np.abs(np.asarray(result.history["balance_error"]))
+    numbers = {
+        "volume_loss": [float(value) for value in result.volume_loss],
+        "balance_error": float(balance.max(initial=0.0)),
+        "steps": int(balance.size),
+        "nodes": int(corrosion.domain.sum()),
+        "metal_nodes": int(corrosion.metal.sum()),
+        "bonds_per_node": corrosion.stencil.bonds,
+        "dissolution_flux": corrosion.dissolution_flux,
+        "interface_diffusivity": corrosion.base_interface_diffusivity(),
+        "omissions": [
+            {**asdict(o), "bound": o.bound if math.isfinite(o.bound) else None} for o in omissions
+        ],
+    }
+    return [out / CORROSION_FILE, out / HISTORY_FILE], numbers

@@ -1,0 +1,97 @@
+"""The geometry stage: solid, surface for the lattice, tetrahedral mesh, and their checks."""
+
+import logging
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import h5py
+
+from pipeline.geometry.mesh import write_mesh
+from pipeline.geometry.surface import Solid
+from pipeline.record.run_folder import write_json, write_text
+from pipeline.scene.scene import Scene, ScrewGeometry
+
+logger = logging.getLogger(__name__)
+
+SURFACE_FILE = "surface.h5"
+CAD_FILE = "solid.brep"
+CHECKS_FILE = "geometry.json"
+MESH_FILE = "mesh.h5"
+SCHEMA_VERSION = 1
+_NUMBERS = ("volume", "area", "reference_volume", "reference_area", "smallest_feature")
+
+
+@contextmanager
+def _signals_kept() -> Iterator[None]:
+    """Give Ctrl-C and SIGTERM back to Python: gmsh takes them and leaves the system's default."""
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        if threading.current_thread() is threading.main_thread():
+            for number, handler in handlers.items():
+                if handler is not None:
+                    signal.signal(number, handler)
+
+
+def build_solid(scene: Scene) -> Solid:
+    """The solid of the scene; ValueError or FileNotFoundError with one sentence."""
+    from pipeline.geometry import solids
+
+    with _signals_kept():
+        if isinstance(scene.geometry, ScrewGeometry):
+            return solids.screw_solid(scene.geometry.parameters)
+        return solids.solid_from_file(scene.geometry.path, scene.geometry.unit)
+
+
+def write_geometry(
+    scene: Scene, folder: Path, solid: Solid | None = None
+) -> tuple[list[Path], dict[str, object]]:
+    """Write solid, surface, mesh and geometry.json; returns the files and the main numbers."""
+    from pipeline.geometry import solids
+
+    solid = solid if solid is not None else build_solid(scene)
+    with _signals_kept():
+        mesh = solids.tetrahedral_mesh(solid, scene.mesh.size, scene.mesh.size_fine)
+    write_mesh(mesh, folder)
+    write_surface(folder, solid)
+    if solid.cad:
+        write_text(folder / CAD_FILE, solid.cad)
+    numbers = {name: getattr(solid, name) for name in _NUMBERS}
+    numbers |= {"bounding_box": solid.bounding_box, "mesh_volume": mesh.quality["volume"]}
+    write_json(folder / CHECKS_FILE, {"name": solid.name, **numbers, "mesh": mesh.quality})
+    numbers |= {name: mesh.quality[name] for name in ("cells", "points", "min_shape")}
+    files = [folder / name for name in (SURFACE_FILE, MESH_FILE, CHECKS_FILE)]
+    return files, numbers
+
+
+def write_surface(folder: Path, solid: Solid) -> None:
+    """Store the surface of a solid with its measures as surface.h5 (points in m)."""
+    temporary = folder / f".{SURFACE_FILE}.tmp"
+    with h5py.File(temporary, "w") as file:
+        file.attrs["schema_version"] = SCHEMA_VERSION
+        file.attrs["name"] = solid.name
+        for name in _NUMBERS:
+            file.attrs[name] = getattr(solid, name)
+        file.attrs["bounding_box"] = solid.bounding_box
+        points = file.create_dataset("points", data=solid.points)
+        points.attrs["unit"] = "m"
+        file.create_dataset("triangles", data=solid.triangles)
+    os.replace(temporary, folder / SURFACE_FILE)
+
+
+def read_surface(folder: Path) -> Solid:
+    """The solid that `write_surface` stored, without its CAD model."""
+    with h5py.File(folder / SURFACE_FILE) as file:
+        lower, upper = file.attrs["bounding_box"]
+        return Solid(
+            name=str(file.attrs["name"]),
+            **{name: float(file.attrs[name]) for name in _NUMBERS},
+            bounding_box=(tuple(map(float, lower)), tuple(map(float, upper))),
+            points=file["points"][:],
+            triangles=file["triangles"][:],
+        )

@@ -1,0 +1,99 @@
+"""The map stage: corrosion damage f0 on the mesh of the intact solid, per cell or point."""
+
+import os
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from fem.quadrature import quadrature_points, sampling_points
+from peri.corrosion.results import read_corrosion
+from pipeline.geometry.mesh import read_mesh
+from pipeline.scene.scene import Scene
+from pipeline.scene.units import ImmersionTime
+from pipeline.stages.corrosion import CORROSION_FILE
+from pipeline.stages.damage_map import compare_lost_volume, map_damage, net_section
+
+DAMAGE_FILE = "damage.h5"
+SCHEMA_VERSION = 1
+
+
+def map_in_folder(
+    scene: Scene, alloy: str, moment: ImmersionTime, geometry: Path, corrosion: Path, out: Path
+) -> tuple[list[Path], dict[str, object]]:
+    """Map the field of one immersion time and write damage.h5; returns the files and numbers.
+
+    The numbers hold the mean of f0 over the mesh, the volumes lost on lattice and mesh, the latter
+    before f0 is cut off at 1/q1, and what is left of the smallest net section between the grips.
+    """
+    mesh = read_mesh(geometry)
+    fields = read_corrosion(corrosion / CORROSION_FILE)
+    number = int(np.flatnonzero(fields["times"] == moment.seconds)[0])
+    material = scene.alloy(alloy).material
+    solid = float(fields["solid_concentration"])
+    one_per_cell = scene.tensile.damage == "cell"
+    if one_per_cell:  # the field varies within a cell; one point in it misses a tenth of the loss
+        points, weights = sampling_points(mesh.points, mesh.cells)
+    else:
+        points, weights = quadrature_points(mesh.points, mesh.cells, scene.tensile.element)
+    lattice = (fields["lattice/origin"], fields["lattice/spacing"])
+    concentration, metal = fields["concentration"][number], fields["metal"]
+
+    maximum = 1.0 / material.q1
+    damage = map_damage(points, *lattice, concentration, metal, solid, maximum)
+    lost = compare_lost_volume(
+        points, weights, *lattice, concentration, metal, fields["capacity"], solid
+    )
+    volume = float(weights.sum())
+    numbers = {
+        "mean_corrosion_damage": float((damage * weights).sum() / volume),
+        "maximum_corrosion_damage": float(damage.max()),
+        "volume_share_at_maximum": float(weights[damage >= maximum - 1e-12].sum() / volume),
+        "net_section_left": _net_section_left(scene, mesh.points, fields, number, solid, maximum),
+        **lost,
+    }
+    if one_per_cell:
+        damage = ((damage * weights).sum(axis=1) / weights.sum(axis=1))[:, None]
+    write_damage(out / DAMAGE_FILE, damage, moment, scene.tensile.element)
+    return [out / DAMAGE_FILE], numbers
+
+
+def _net_section_left(
+    scene: Scene, points: np.ndarray, fields: dict, number: int, solid: float, maximum: float
+) -> float | None:
+    """Smallest net section between the grips over that of the intact solid; None without a layer.
+
+    fields: of the corrosion stage; number: of the immersion time in them.
+    """
+    spacing, metal = fields["lattice/spacing"], fields["metal"]
+    height = fields["lattice/origin"][2] + spacing[2] * np.arange(metal.shape[2])
+    low = points[:, 2].min() + scene.tensile.bottom_grip
+    high = points[:, 2].max() - scene.tensile.top_grip
+    between = (low <= height) & (height <= high)
+    if not between.any():
+        return None
+    now, intact = (
+        net_section(c, metal, fields["capacity"], spacing, solid, maximum)[between].min()
+        for c in (fields["concentration"][number], np.where(metal, solid, 0.0))
+    )
+    return float(now / intact) if intact > 0.0 else None
+
+
+def write_damage(path: Path, damage: np.ndarray, moment: ImmersionTime, element: str) -> None:
+    """Store f0 (nc, nq or 1), in the order of the mesh's cells, in one step."""
+    temporary = path.with_name(f".{path.name}.tmp")
+    with h5py.File(temporary, "w") as file:
+        file.attrs["schema_version"] = SCHEMA_VERSION
+        file.attrs["element"] = element
+        file.attrs["immersion"] = moment.label
+        file.attrs["immersion_seconds"] = moment.seconds
+        data = file.create_dataset("f0", data=damage, compression="lzf")
+        data.attrs["unit"] = "1"
+        data.attrs["dimensions"] = "cell, quadrature point"
+    os.replace(temporary, path)
+
+
+def read_damage(path: Path) -> np.ndarray:
+    """f0 (nc, nq or 1) as `write_damage` stored it."""
+    with h5py.File(path) as file:
+        return file["f0"][:]

@@ -1,0 +1,402 @@
+"""What a run would compute, what it leaves out and why, how long it takes, how much it needs.
+
+Everything here follows from the scene and its solid alone; nothing is computed or written.
+"""
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from fem.quadrature import ELEMENTS
+from peri.engine.influence import diffusion_stencil
+from pipeline.geometry.surface import Solid
+from pipeline.record import machine
+from pipeline.scene.loads import LOADS
+from pipeline.scene.scene import OMITTABLE, Scene, SceneError, ScrewGeometry
+from pipeline.scene.units import format_bytes, format_length, format_seconds
+from pipeline.stages.corrosion import domain_lattice, liquid_domain, march_omissions
+
+CELLS_PER_FEATURE = 2
+"""Lattice cells that the smallest feature of a solid must span."""
+
+BASE_MEMORY = 400e6
+"""Bytes of an idle process with the libraries loaded (measured)."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One piece of the plan: what it is, its size in words, seconds and bytes expected."""
+
+    stage: str
+    what: str
+    size: str
+    seconds: float
+    memory: float
+    disk: float
+
+
+@dataclass(frozen=True)
+class Omission:
+    """Something that is not computed, why, and a bound of the error of leaving it out."""
+
+    what: str
+    reason: str
+    error: str
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Tasks in their order, omissions, and the totals."""
+
+    tasks: tuple[Task, ...]
+    omissions: tuple[Omission, ...]
+    nodes: int
+    unknowns: int
+    seconds: float
+    memory: float
+    disk: float
+
+    def to_json(self) -> dict:
+        """Plain mapping of the plan."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Measured on two cores at 2.6 GHz: what a plan multiplies its counts with.
+
+    corrosion: seconds and bytes per node and march; tensile: seconds per unknown and increment, and
+    bytes per unknown of one process; mesh: seconds per cell; disk: bytes per node and time.
+    """
+
+    corrosion_seconds_per_node: float = 1.1e-4
+    corrosion_bytes_per_node: float = 600.0
+    tensile_seconds_per_unknown: float = 2.5e-5
+    tensile_bytes_per_unknown: float = 1.0e4
+    mesh_seconds_per_cell: float = 5.0e-5
+    solid_seconds: float = 5.0
+    map_seconds_per_cell: float = 2.0e-5
+    disk_bytes_per_node: float = 24.0
+    disk_bytes_per_unknown: float = 200.0
+
+
+COST = Cost()
+
+
+def make_plan(
+    scene: Scene,
+    solid: Solid | None = None,
+    workers: int | None = None,
+    with_march: bool = False,
+) -> Plan:
+    """Plan a scene; builds the solid when it is not given.
+
+    with_march: also find out what each march can leave out and with which bound; this solves for
+    the bound of the liquid's concentration once per alloy.
+
+    Raises ValueError with one sentence when the lattice is too coarse for the solid.
+    """
+    if solid is None:
+        from pipeline.stages.geometry import build_solid
+
+        solid = build_solid(scene)
+    check_sizes(scene, solid)
+    nodes, metal, bonds = _lattice_counts(scene, solid)
+    cells, unknowns, quadrature = _mesh_counts(scene, solid)
+    workers = workers or machine.processor_cores()
+    times = scene.with_intact()
+    pulls = len(scene.alloys) * len(times)
+    tasks = [
+        Task(
+            "geometry",
+            solid.name,
+            f"about {cells:,} tetrahedra of {format_length(scene.mesh.size_fine)} to "
+            f"{format_length(scene.mesh.size)}",
+            COST.solid_seconds + COST.mesh_seconds_per_cell * cells,
+            BASE_MEMORY + 2e3 * cells,
+            2e6 + 200.0 * cells,
+        )
+    ]
+    labels = ", ".join(time.label for time in times)
+    for alloy in scene.alloys:
+        tasks.append(
+            Task(
+                "corrode",
+                alloy.name,
+                f"{nodes:,} nodes ({metal:,} metal), {bonds} bonds each, {labels}",
+                COST.corrosion_seconds_per_node * nodes,
+                BASE_MEMORY + COST.corrosion_bytes_per_node * nodes,
+                COST.disk_bytes_per_node * nodes * len(times),
+            )
+        )
+    tasks.append(
+        Task(
+            "map",
+            f"{pulls} damage maps",
+            f"{quadrature:,} quadrature points each",
+            COST.map_seconds_per_cell * cells * pulls,
+            BASE_MEMORY + 100.0 * quadrature,
+            8.0 * quadrature * pulls,
+        )
+    )
+    at_once = min(workers, pulls)
+    increments = 4 + scene.tensile.final_strain / scene.tensile.increment  # the first are smaller
+    tasks.append(
+        Task(
+            "pull",
+            f"{pulls} {LOADS[scene.tensile.load].test}s, {at_once} at a time",
+            f"{unknowns:,} unknowns each ({scene.tensile.element})",
+            COST.tensile_seconds_per_unknown * unknowns * increments * -(-pulls // at_once),
+            at_once * (BASE_MEMORY + COST.tensile_bytes_per_unknown * unknowns),
+            COST.disk_bytes_per_unknown * unknowns * pulls,
+        )
+    )
+    return Plan(
+        tasks=tuple(tasks),
+        omissions=tuple(
+            scene_omissions(scene) + (_march_omissions(scene, solid) if with_march else [])
+        ),
+        nodes=nodes,
+        unknowns=unknowns,
+        seconds=sum(task.seconds for task in tasks),
+        memory=max(task.memory for task in tasks),
+        disk=sum(task.disk for task in tasks),
+    )
+
+
+def check_sizes(scene: Scene, solid: Solid) -> None:
+    """Refuse a lattice too coarse for the solid's smallest feature, and grips that leave no test.
+
+    Between the grips there must be two edges of the mesh at least.
+    """
+    test, length = scene.tensile, float(np.ptp(solid.points[:, 2]))
+    held = test.bottom_grip + test.top_grip
+    if held > length - 2.0 * scene.mesh.size:
+        raise SceneError(
+            f"the grips hold {format_length(test.bottom_grip)} and {format_length(test.top_grip)} "
+            f"(--bottom-grip, --top-grip); together it must be at most "
+            f"{format_length(max(length - 2.0 * scene.mesh.size, 0.0))}, the length of the "
+            f"{solid.name} less two edges of the mesh"
+        )
+    limit = solid.smallest_feature / CELLS_PER_FEATURE
+    if scene.lattice.spacing > limit * (1 + 1e-9):
+        raise SceneError(
+            f"lattice spacing is {format_length(scene.lattice.spacing)}; it must be at most "
+            f"{format_length(limit)}, half of the smallest feature of the {solid.name}"
+        )
+
+
+def check_resources(scene: Scene, solid: Solid, folder: Path, workers: int | None = None) -> Plan:
+    """Refuse, before anything is written, what this machine has no memory or disk for.
+
+    Returns the plan.  Raises MemoryError or OSError with one sentence.
+    """
+    plan = make_plan(scene, solid, workers)
+    available = machine.available_memory()
+    if plan.memory > available:
+        task = max(plan.tasks, key=lambda item: item.memory)
+        raise MemoryError(
+            f"stage {task.stage} needs about {format_bytes(task.memory)} of memory "
+            f"({task.size}) and {format_bytes(available)} are available; choose a coarser "
+            "resolution or a smaller domain"
+        )
+    free = machine.free_disk(folder)
+    if plan.disk > free:
+        raise OSError(
+            f"the run needs about {format_bytes(plan.disk)} on the disk that holds '{folder}' "
+            f"and {format_bytes(free)} are free"
+        )
+    return plan
+
+
+def print_plan(plan: Plan) -> None:
+    """Print the plan for a reader."""
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(width=None if Console().is_terminal else 120)
+    table = Table(title="What would be computed")
+    for column in ("stage", "what", "size", "time", "memory"):
+        table.add_column(column, justify="right" if column in ("time", "memory") else "left")
+    for task in plan.tasks:
+        table.add_row(
+            task.stage,
+            task.what,
+            task.size,
+            format_seconds(task.seconds),
+            format_bytes(task.memory),
+        )
+    console.print(table)
+    table = Table(title="What is left out")
+    for column in ("what", "why", "error"):
+        table.add_column(column)
+    for omission in plan.omissions:
+        table.add_row(omission.what, omission.reason, omission.error)
+    console.print(table)
+    console.print(
+        f"nodes {plan.nodes:,}, unknowns {plan.unknowns:,}, about "
+        f"{format_seconds(plan.seconds)}, memory {format_bytes(plan.memory)}, "
+        f"disk {format_bytes(plan.disk)}"
+    )
+
+
+def _lattice_counts(scene: Scene, solid: Solid) -> tuple[int, int, int]:
+    """Nodes of the domain, metal nodes (from the volume), bonds of a node."""
+    domain = liquid_domain(scene, solid.points)
+    box = np.prod((np.subtract(domain.upper, domain.lower)) / scene.lattice.spacing)
+    if box > 1e8:
+        # too many to list one by one: the volume of the region says how many there are
+        share = np.pi / 6 if domain.shape == "ball" else np.pi / 4
+        nodes = int(box * share)
+    else:
+        nodes = int(domain_lattice(scene, domain)[1].sum())
+    lattice = domain_lattice(scene, domain)[0] if box <= 1e8 else None
+    metal = round(solid.volume / scene.lattice.spacing**3)
+    if lattice is None:
+        ratio = scene.lattice.horizon / scene.lattice.spacing
+        return nodes, metal, round(4 / 3 * np.pi * (ratio + 0.5) ** 3)
+    settings = scene.corrosion
+    stencil = diffusion_stencil(
+        lattice,
+        scene.lattice.horizon,
+        settings.kernel_exponent,
+        settings.influence,
+        settings.calibration,
+    )
+    return nodes, metal, stencil.bonds
+
+
+def _mesh_counts(scene: Scene, solid: Solid) -> tuple[int, int, int]:
+    """Cells, displacement unknowns and quadrature points that the mesh sizes will give.
+
+    Fitted to the meshes of `perilife study tensile` and `perilife bench tensile-published`, 2,536
+    to 767,631 cells: cells and unknowns to 8 %.  A thread needs some cells at any size.
+    """
+    geometry = scene.geometry
+    threaded = isinstance(geometry, ScrewGeometry) and geometry.parameters.thread != "none"
+    surface, bulk = solid.area / scene.mesh.size_fine**2, solid.volume / scene.mesh.size**3
+    cells = max(12, round(970 * threaded + 5.0 * surface + 3.0 * bulk))
+    element = ELEMENTS[scene.tensile.element]
+    points = 0.95 * cells**0.883 if element.order == 1 else 3.65 * cells**0.931
+    return cells, 3 * round(points), cells * element.points
+
+
+def _march_omissions(scene: Scene, solid: Solid) -> list[Omission]:
+    found = []
+    for alloy, omission in march_omissions(scene, solid):
+        if omission.applied:
+            text = f"at most {100 * omission.bound:.2g} % of V_L"
+        elif np.isfinite(omission.bound):
+            text = f"kept; leaving it out would cost up to {100 * omission.bound:.2g} % of V_L"
+        else:
+            text = "kept"
+        name = omission.name
+        if name not in OMITTABLE:
+            name = f"{name.replace('_', ' ')} (not offered to --keep)"
+        found.append(Omission(f"{alloy}: {name}", omission.reason, text))
+    return found
+
+
+def scene_omissions(scene: Scene) -> list[Omission]:
+    """What the model and the scene leave out; it follows from the settings alone."""
+    found = [
+        Omission(
+            "diffusion within the metal",
+            "D_sol is 0 in the bi-material model (dissertation 2.3.3)",
+            "part of the model",
+        ),
+        Omission(
+            "liquid beyond the domain",
+            "the published parameters belong to this domain; its outermost layer, one horizon "
+            "wide, holds refreshed medium"
+            if scene.domain.boundary == "refreshed"
+            else "nothing crosses the edge of the domain",
+            "part of the scene",
+        ),
+    ]
+    if scene.corrosion.kinetics != "volume_loss":
+        found.append(
+            Omission(
+                "the published kinetics",
+                f"the rate follows {scene.corrosion.kinetics} (--kinetics); published, and fitted "
+                "with the parameter set, is volume_loss with the l of that set",
+                "an assumption (peri/README.md)",
+            )
+        )
+    if scene.corrosion.dissolution == "faradaic":
+        found.append(
+            Omission(
+                "the published law of a bond",
+                "a bond carries the whole flux until its metal node is empty (--dissolution "
+                "faradaic); published, and fitted with the parameter set, is a flux in proportion "
+                "to what the node still holds",
+                "an assumption (peri/README.md)",
+            )
+        )
+    if scene.immersion[0].seconds == 0 and len(scene.immersion) == 1:
+        found.append(Omission("corrosion", "only time zero is asked for", "none"))
+    found += _tensile_departures(scene)
+    drop = scene.tensile.peak_drop
+    if drop < 1:
+        names = LOADS[scene.tensile.load]
+        found.append(
+            Omission(
+                f"the end of a {names.reaction}-{names.abscissa} curve",
+                f"a test ends once the {names.reaction} is {100 * drop:g} % below its peak "
+                "(--peak-drop)",
+                f"none in the peak {names.reaction}",
+            )
+        )
+    return found
+
+
+def _tensile_departures(scene: Scene) -> list[Omission]:
+    """Where the tensile test does less than the source, or something else."""
+    test = scene.tensile
+    found = [
+        Omission(
+            "the full moduli of corroded metal",
+            "the moduli fall with f as the strength does, by 1 - q1 f; the source keeps them",
+            "an assumption (fem/README.md)",
+        )
+    ]
+    names = LOADS[test.load]
+    of_what = "elongation" if test.load == "axial" else "angle times radius"
+    found.append(
+        Omission(
+            f"{names.test} beyond a nominal strain of {100 * test.final_strain:g} %",
+            f"{of_what} over the length between the grips; further with --final-strain",
+            f"a {names.reaction} that still rises then counts as the peak",
+        )
+    )
+    if test.load != "axial" and ELEMENTS[test.element].order == 1:
+        found.append(
+            Omission(
+                "shear within a cell",
+                f"slender four-node cells ({test.element}) lock in shear, ten-node ones do not",
+                f"the {names.reaction} is too large: of a plastic bar in torsion by 59 % "
+                "with P1, 7 % with P1-Fbar (fem/README.md)",
+            )
+        )
+    if test.bottom_grip > 0 or test.top_grip > 0:
+        found.append(
+            Omission(
+                "the metal within the grips",
+                f"the outer {format_length(test.bottom_grip)} and {format_length(test.top_grip)} "
+                "are held and not strained; --bottom-grip 0mm --top-grip 0mm holds the end faces, "
+                "as published, and tears off what is corroded there"
+                + ("" if isinstance(scene.geometry, ScrewGeometry) else "; no slot is known"),
+                "part of the scene (pipeline/README.md: strength left by the length held)",
+            )
+        )
+    if test.damage != "implicit":
+        each = "cell" if test.damage == "cell" else "quadrature point"
+        found.append(
+            Omission(
+                "growth of f within an increment",
+                f"f is one per {each} and grows between increments (within: --damage implicit)",
+                "part of the error of the increment (perilife study tensile)",
+            )
+        )
+    return found

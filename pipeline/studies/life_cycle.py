@@ -1,0 +1,233 @@
+"""Where the error of the strength left comes from: one factor refined at a time.
+
+The strength left (peak force over that of the intact screw) of one alloy after one immersion time,
+with the quick preset and with each factor refined alone: lattice, time step, mapping (samples of a
+cell for its mean damage), mesh, element, increment.  A factor's error is the change to its finest
+level, with what is left of that level by the order of the factor added; the errors of the factors
+add up, which bounds the sum where they do not cancel.
+"""
+
+from __future__ import annotations
+
+import itertools
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from pipeline.scene.resolution import resolution
+from pipeline.studies.workshop import Pull, Row, Workshop
+
+WANTED_ERRORS = (0.10, 0.03, 0.01)
+LATTICES = (100e-6, 200e-6 / 3, 50e-6)
+RATE_CHANGES = (0.4, 0.1)
+SAMPLES = (None, 1, 2)
+INCREMENT_SHARES = (1.0, 0.5, 0.25)  # of the preset's
+MESHES = (
+    ("P1-Fbar", 0.3e-3, 0.2e-3), ("P1-Fbar", 0.2e-3, 0.12e-3),
+    ("P2", 0.5e-3, 0.4e-3), ("P2", 0.4e-3, 0.3e-3), ("P2", 0.3e-3, 0.2e-3), ("P2", 0.2e-3, 0.12e-3),
+)  # fmt: skip
+FACTORS = ("lattice", "time step", "mapping", "mesh and element", "increment")
+
+
+@dataclass(frozen=True)
+class Level:
+    """One value of one factor, all others as in the base.
+
+    ratio: strength left; error: of this level, relative; seconds: processor time that the factor
+    decides, of corrosion or of the pull.
+    """
+
+    factor: str
+    choice: str
+    ratio: float
+    error: float
+    seconds: float
+    status: str
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A level of every factor, with the sum of the errors and the processor time of the run."""
+
+    levels: tuple[Level, ...]
+    error: float
+    seconds: float
+
+
+def factor_levels(
+    factor: str, entries: Sequence[tuple[str, float, float, str]], order: float | None
+) -> list[Level]:
+    """Levels of a factor from (choice, ratio, seconds, status), coarse to fine.
+
+    order: of the factor where each level halves about the step of the one before; what is left of
+    the finest level is then its last change / (2^order - 1).  None: the last change itself.
+    """
+    finest = entries[-1][1]
+    rest = 0.0
+    if len(entries) > 1:
+        change = abs(entries[-1][1] - entries[-2][1])
+        rest = change if order is None else change / (2.0**order - 1.0)
+    return [
+        Level(factor, choice, ratio, (abs(ratio - finest) + rest) / finest, seconds, status)
+        for choice, ratio, seconds, status in entries
+    ]
+
+
+def combinations(levels: Sequence[Level]) -> list[Combination]:
+    """Every choice of one level per factor; the cost is that of its corrosion and its pull.
+
+    The pull costs what its mesh costs, scaled by what the increment costs over the base's.
+    """
+    groups = [[e for e in levels if e.factor == factor] for factor in FACTORS]
+    base = next(e for e in levels if e.factor == "increment")
+    found = []
+    for chosen in itertools.product(*groups):
+        if any(level.status.startswith("stopped") for level in chosen):
+            continue
+        by = {level.factor: level for level in chosen}
+        corrosion = by["lattice"].seconds * by["time step"].seconds
+        pull = by["mesh and element"].seconds * by["increment"].seconds / base.seconds
+        found.append(Combination(chosen, sum(e.error for e in chosen), corrosion + pull))
+    return found
+
+
+def cheapest(found: Sequence[Combination], wanted: float) -> tuple[Combination, bool]:
+    """The cheapest combination within an error, or the surest one and False."""
+    good = [c for c in found if c.error <= wanted]
+    if good:
+        return min(good, key=lambda c: (c.seconds, c.error)), True
+    return min(found, key=lambda c: (c.error, c.seconds)), False
+
+
+def study_life_cycle(
+    alloy: str, immersion: str, tell: Callable[[str], None] = lambda line: None, workers: int = 2
+) -> list[Level]:
+    """Run the study for one alloy and time; `tell` hears one line per pull."""
+    preset = resolution("quick")
+    mesh = (preset.element, preset.mesh_size, preset.mesh_size_fine)
+    base = Pull("", "", alloy, "0w", *mesh, preset.increment)
+    with tempfile.TemporaryDirectory(prefix="perilife-study-") as place:
+        shop = Workshop(Path(place))
+        shop.corrode(alloy, [immersion])  # compiles
+        seconds = {
+            name: shop.corrode(alloy, [immersion], name, spacing, change)
+            for name, spacing, change in _marches()
+        }
+        variants = _variants(base)
+        pulls = {
+            (factor, choice, label): replace(pull, immersion=label, curve=factor, choice=choice)
+            for factor, choice, pull in variants
+            for label in ("0w", immersion)
+        }
+        once = list({_content(p): p for p in pulls.values()}.values())
+        rows = shop.pull(once, workers, lambda row: tell(_line(row)))
+    found = {_content(p): row for p, row in zip(once, rows, strict=True)}
+    entries: dict[str, list[tuple[str, float, float, str]]] = {factor: [] for factor in FACTORS}
+    first = _march_name(LATTICES[0], RATE_CHANGES[0])
+    for factor, choice, _ in variants:
+        intact, corroded = (found[_content(pulls[factor, choice, t])] for t in ("0w", immersion))
+        cost = intact.processor_seconds + corroded.processor_seconds
+        if factor == "lattice":
+            cost = seconds[corroded.field]
+        if factor == "time step":
+            cost = seconds[corroded.field] / seconds[first]
+        ratio = corroded.peak_force / intact.peak_force
+        entries[factor].append((choice, ratio, cost, corroded.status))
+    levels: list[Level] = []
+    for factor in FACTORS:
+        if factor == "mesh and element":
+            levels += _mesh_levels(entries[factor])
+        else:
+            order = {"increment": 1.0, "time step": 2.0, "lattice": 1.0}.get(factor)
+            levels += factor_levels(factor, entries[factor], order)
+    return levels
+
+
+def _mesh_levels(entries: Sequence[tuple[str, float, float, str]]) -> list[Level]:
+    """Each mesh against the finest of P2, whose rest is its change from the P2 mesh before it."""
+    second = [e for e in entries if e[0].startswith("P2")]
+    return [factor_levels("mesh and element", [entry, *second[-2:]], None)[0] for entry in entries]
+
+
+def _marches() -> list[tuple[str, float, float]]:
+    found = [(_march_name(s, RATE_CHANGES[0]), s, RATE_CHANGES[0]) for s in LATTICES]
+    found += [(_march_name(LATTICES[0], c), LATTICES[0], c) for c in RATE_CHANGES[1:]]
+    return found
+
+
+def _march_name(spacing: float, change: float) -> str:
+    return f"{1e6 * spacing:.0f}-{change:g}"
+
+
+def _variants(base: Pull) -> list[tuple[str, str, Pull]]:
+    """(factor, choice, pull), each factor from coarse to fine."""
+    base = replace(base, field=_march_name(LATTICES[0], RATE_CHANGES[0]))
+    found = [
+        (
+            "lattice", f"{1e6 * s:.0f} um", replace(base, field=_march_name(s, RATE_CHANGES[0])),
+        )
+        for s in LATTICES
+    ]  # fmt: skip
+    found += [
+        ("time step", f"rate change {c:g}", replace(base, field=_march_name(LATTICES[0], c)))
+        for c in RATE_CHANGES
+    ]
+    words = {None: "at the quadrature points", 1: "mean of 32 points", 2: "mean of 256 points"}
+    found += [("mapping", words[n], replace(base, samples=n)) for n in SAMPLES]
+    for element, size, fine in MESHES:
+        pull = replace(base, element=element, mesh_size=size, mesh_size_fine=fine)
+        found.append(("mesh and element", f"{element} {1e3 * size:g}/{1e3 * fine:g} mm", pull))
+    for share in INCREMENT_SHARES:
+        size = share * base.increment
+        found.append(("increment", f"{100 * size:g} %", replace(base, increment=size)))
+    return found
+
+
+def _content(pull: Pull) -> tuple:
+    """What decides the result of a pull; the intact screw is the same for every march."""
+    intact = pull.immersion == "0w"
+    plain = replace(pull, field=_march_name(LATTICES[0], RATE_CHANGES[0])) if intact else pull
+    plain = replace(plain, samples=1) if intact else plain
+    return (plain.immersion, *plain.setting())
+
+
+def _line(row: Row) -> str:
+    return (
+        f"{row.immersion}, {row.curve} {row.choice}: {row.peak_force:.1f} N, "
+        f"{row.processor_seconds:.1f} s, {row.status}"
+    )
+
+
+def tables(levels: Sequence[Level], title: str) -> list[str]:
+    """The levels and the cheapest combinations as Markdown."""
+    lines = [
+        f"{title}: strength left, one factor changed at a time",
+        "",
+        "| factor | level | strength left | error | processor time |",
+        "| --- | --- | ---: | ---: | ---: |",
+    ]
+    for e in levels:
+        cost = f"x {e.seconds:.1f}" if e.factor == "time step" else f"{e.seconds:.1f} s"
+        early = " (stopped early)" if e.status.startswith("stopped") else ""
+        lines.append(
+            f"| {e.factor} | {e.choice} | {100 * e.ratio:.1f} %{early} | {100 * e.error:.1f} % "
+            f"| {cost} |"
+        )
+    lines.append("")
+    found = combinations(levels)
+    for wanted in WANTED_ERRORS:
+        chosen, reached = cheapest(found, wanted)
+        words = ", ".join(f"{e.factor} {e.choice}" for e in chosen.levels)
+        start = "" if reached else "not reached; the surest is "
+        lines.append(
+            f"- cheapest within {100 * wanted:g} %: {start}{words}: error {100 * chosen.error:.1f} "
+            f"%, {chosen.seconds:.0f} s of processor time"
+        )
+    return lines
+
+
+def print_study(alloy: str, immersion: str) -> None:
+    """Run the study and print its tables."""
+    levels = study_life_cycle(alloy, immersion, lambda line: print(line, flush=True))
+    print("\n" + "\n".join(tables(levels, f"{alloy}, {immersion}")))

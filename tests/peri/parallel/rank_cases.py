@@ -1,0 +1,140 @@
+"""Small marches to compare one process with MPI ranks; as a script it runs them on ranks.
+
+mpirun -n 2 python tests/peri/parallel/rank_cases.py FILE.npz
+"""
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+
+from peri.corrosion import CorrosionScene
+from peri.corrosion.blocks import block_scene
+from peri.corrosion.kinetics import VolumeLossLaw
+from peri.engine.lattice import ball, box_lattice, cylinder
+from peri.engine.marching import TimeStepping
+from peri.engine.operators import NonlocalSum
+from peri.engine.processes import ONE_PROCESS
+from peri.engine.solvers import DiffusionSystem
+
+DAY = 86400.0
+SOLVER_TOLERANCE = 1e-10
+
+
+def ball_scene() -> CorrosionScene:
+    """3D: a rod off the middle of a ball of refreshed liquid, on cells with metal fractions."""
+    lattice = box_lattice((-1e-3, -0.9e-3, -1e-3), (1e-3, 0.9e-3, 1e-3), 1e-4)
+    metal = cylinder(lattice, (1e-4, 0, -1e-4), 3.2e-4, 7e-4)
+    fraction = np.where(metal, 0.9, 0.0)
+    fraction[~metal & cylinder(lattice, (1e-4, 0, -1e-4), 4.3e-4, 9e-4)] = 0.2
+    return CorrosionScene(
+        lattice, 2e-4, metal, domain=ball(lattice, (0, 0, 0), 1e-3), metal_fraction=fraction,
+        solid_concentration=65000.0, saturation_concentration=500.0, liquid_diffusivity=1e-9,
+        interface_diffusivity=1e-13, kinetics=VolumeLossLaw(0.2),
+    )  # fmt: skip
+
+
+def closed_scene() -> CorrosionScene:
+    """2D, nothing leaves: liquid saturates beside the metal, horizon of three spacings."""
+    lattice = box_lattice((0.0, 0.0), (3.2e-3, 2.4e-3), 1e-4)
+    return CorrosionScene(
+        lattice, 3e-4, ball(lattice, (1.0e-3, 0.9e-3), 5e-4), boundary="no_flux",
+        solid_concentration=1000.0, saturation_concentration=100.0, liquid_diffusivity=1e-12,
+        dissolution_flux=1e-6,
+    )  # fmt: skip
+
+
+def line_scene() -> CorrosionScene:
+    """1D: metal that dissolves node by node into refreshed liquid."""
+    lattice = box_lattice((0.0,), (40e-6,), 1e-6)
+    metal = (lattice.coordinates()[0] > 12e-6) & (lattice.coordinates()[0] < 24e-6)
+    return CorrosionScene(
+        lattice, 2e-6, metal, solid_concentration=1000.0, saturation_concentration=300.0,
+        liquid_diffusivity=1e-12, interface_diffusivity=1e-13,
+    )  # fmt: skip
+
+
+MARCHES = {
+    "ball": (ball_scene, (0.5 * DAY, DAY), TimeStepping("sdirk2", step=0.5 * DAY)),
+    "closed": (closed_scene, (2 * DAY,), TimeStepping("backward_euler", step=DAY)),
+    "line": (line_scene, (0.0, 60.0), TimeStepping("sdirk2", step=10.0)),
+}
+STIFFNESSES = (1.0, 1e3, 1e6)
+
+
+def diffusion_system(scene, processes=ONE_PROCESS, stiffness=1.0):
+    """Shifted diffusion on the scene's liquid with D dt / dx^2 = stiffness, and a right side."""
+    local = block_scene(scene, processes)
+    shape = local.lattice.shape
+    bond_sum = NonlocalSum(local.stencil, shape, wanted=local.domain, processes=processes)
+    weight = bond_sum.pad(np.where(local.metal | local.refreshed(), 0.0, local.capacity()))
+    domain = bond_sum.pad(local.domain)
+    diagonal = 1.0 / (stiffness * local.lattice.spacing[0] ** 2) + bond_sum(domain)
+    sink = weight * (diagonal - bond_sum(weight))
+    # A right side that does not depend on the blocks: rough in space, zero off the unknowns.
+    position = [1e4 * x for x in local.lattice.coordinates()]
+    rough = np.broadcast_to(sum(np.sin((5 + 7 * a) * x) for a, x in enumerate(position)), shape)
+    return DiffusionSystem(bond_sum, weight, diagonal, 1.0, sink), weight * bond_sum.pad(rough)
+
+
+def solve(system, right, processes=ONE_PROCESS):
+    """Solution on the lattice and the iterations that it took."""
+    x = np.zeros_like(right)
+    norm = np.sqrt(processes.total(float((right**2).sum())))
+    count = system.solve(x, right.copy(), SOLVER_TOLERANCE * norm)
+    return processes.gather(system.sum.crop(x)), count
+
+
+def main(path: str) -> None:
+    """Run everything on the ranks of the world; rank 0 writes the results."""
+    from mpi4py import MPI
+
+    from peri.corrosion.ranks import corrode
+    from peri.parallel.ranks import Ranks
+
+    comm, out = MPI.COMM_WORLD, {}
+    root = comm.rank == 0
+    for name, (make, times, stepping) in MARCHES.items():
+        result = corrode(
+            make() if root else None, times, stepping, solver_tolerance=SOLVER_TOLERANCE
+        )
+        if root:
+            for field in ("concentration", "metal", "volume_loss"):
+                out[f"{name}/{field}"] = getattr(result, field)
+            for field, values in result.history.items():
+                out[f"{name}/history/{field}"] = values
+    for stiffness in STIFFNESSES:
+        scene = ball_scene()
+        ranks = Ranks(comm, scene.stencil, scene.domain)
+        x, count = solve(*diffusion_system(scene, ranks, stiffness), ranks)
+        ranks.close()
+        out[f"diffusion/{stiffness:g}"], out[f"diffusion/{stiffness:g}/iterations"] = x, count
+    # A march that rank 0 stops after two steps leaves a checkpoint.
+    make, times, stepping = MARCHES["line"]
+    calls = []
+
+    def stop_after_two_steps(fraction, text):
+        calls.append(fraction)
+        if len(calls) > 2:
+            raise InterruptedError
+
+    try:
+        corrode(
+            make() if root else None, times, stepping, solver_tolerance=SOLVER_TOLERANCE,
+            progress=stop_after_two_steps, checkpoint=path + ".checkpoint", checkpoint_every=0.0,
+        )  # fmt: skip
+    except InterruptedError:
+        out["stopped"] = comm.gather(len(calls))
+    # Blocks narrower than the reach.
+    lattice = box_lattice((0.0,), (3e-6,), 1e-6)
+    small = replace(line_scene(), lattice=lattice, metal=np.zeros(3, bool), domain=None)
+    try:
+        corrode(small if root else None, (1.0,))
+    except ValueError as error:
+        out["refusal"] = str(error)
+    if root:
+        np.savez(path, **out)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

@@ -1,0 +1,173 @@
+"""The march on 1, 2 and 4 MPI ranks against the embedded solver."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from peri.corrosion import corrode
+from peri.engine.processes import share_out, work_per_plane
+from tests.peri.parallel import rank_cases
+
+ROOT = Path(__file__).resolve().parents[3]
+RANKS = (1, 2, 4)
+
+pytest.importorskip("petsc4py")
+needs_mpirun = pytest.mark.skipif(shutil.which("mpirun") is None, reason="mpirun is not installed")
+
+
+@pytest.fixture(scope="module")
+def on_ranks(tmp_path_factory):
+    """Results of rank_cases by number of ranks, each run once."""
+    found = {}
+
+    def results(ranks):
+        if ranks not in found:
+            path = tmp_path_factory.mktemp("ranks") / f"{ranks}.npz"
+            environment = os.environ | {"NUMBA_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
+            script = ROOT / "tests" / "peri" / "parallel" / "rank_cases.py"
+            done = subprocess.run(
+                ["mpirun", "--oversubscribe", "-n", str(ranks), sys.executable, script, path],
+                env=environment, capture_output=True, text=True, timeout=300,
+            )  # fmt: skip
+            assert done.returncode == 0, done.stderr[-3000:]
+            found[ranks] = dict(np.load(path)), Path(f"{path}.checkpoint")
+        return found[ranks]
+
+    return results
+
+
+@pytest.fixture(scope="module")
+def embedded():
+    """Results of the same marches in this process."""
+    return {
+        name: corrode(make(), times, stepping, solver_tolerance=rank_cases.SOLVER_TOLERANCE)
+        for name, (make, times, stepping) in rank_cases.MARCHES.items()
+    }
+
+
+@needs_mpirun
+@pytest.mark.parametrize("ranks", RANKS)
+@pytest.mark.parametrize("name", rank_cases.MARCHES)
+def test_march_agrees_with_the_embedded_solver(name, ranks, on_ranks, embedded):
+    arrays, expected = on_ranks(ranks)[0], embedded[name]
+    solid = expected.scene.solid_concentration
+    # The state is not trivial: metal is lost, liquid is reached.
+    assert expected.volume_loss[-1] > 0.01
+    assert expected.concentration[-1][~expected.scene.metal].max() > 1e-6 * solid
+    if name == "closed":
+        assert expected.history["saturated_nodes"].max() > 0
+    if name == "line":
+        assert expected.history["dissolved_nodes"].sum() > 0
+    # the solver's tolerance: measured at most 9e-14, 4e-13, 3e-16 of it (ball, closed, line)
+    difference = np.abs(arrays[f"{name}/concentration"] - expected.concentration)
+    assert difference.max() <= rank_cases.SOLVER_TOLERANCE * solid
+    np.testing.assert_array_equal(arrays[f"{name}/metal"], expected.metal)
+    # measured at most 7.3e-14
+    lost = arrays[f"{name}/volume_loss"]
+    np.testing.assert_allclose(lost, expected.volume_loss, rtol=0, atol=1e-11)
+
+
+@needs_mpirun
+@pytest.mark.parametrize("ranks", RANKS)
+@pytest.mark.parametrize("name", rank_cases.MARCHES)
+def test_amounts_and_iterations_of_the_march(name, ranks, on_ranks, embedded):
+    arrays, expected = on_ranks(ranks)[0], embedded[name].history
+    # round-off, as the stages close their balance: measured 2e-16
+    assert np.abs(arrays[f"{name}/history/balance_error"]).max() < 1e-14
+    for field in ("time", "saturated_nodes", "dissolved_nodes"):
+        np.testing.assert_array_equal(arrays[f"{name}/history/{field}"], expected[field])
+    for field in ("metal_amount", "liquid_amount", "released_amount"):
+        scale = expected["metal_amount"][0]
+        values = arrays[f"{name}/history/{field}"]
+        # as the concentrations
+        np.testing.assert_allclose(values, expected[field], rtol=0, atol=1e-10 * scale)
+    # the same smoothing, another path through the levels: measured 84 to 90 against 85, and
+    # 61 and 132 as embedded
+    iterations = arrays[f"{name}/history/iterations"].sum()
+    assert 0 < iterations <= 1.15 * expected["iterations"].sum()
+
+
+@needs_mpirun
+@pytest.mark.parametrize("stiffness", rank_cases.STIFFNESSES)
+def test_diffusion_system_on_ranks(stiffness, on_ranks):
+    """One linear system: the same solution, and iterations that ranks and stiffness bound."""
+    expected, alone = rank_cases.solve(
+        *rank_cases.diffusion_system(rank_cases.ball_scene(), stiffness=stiffness)
+    )
+    assert np.abs(expected).max() > 0
+    for ranks in RANKS:
+        arrays = on_ranks(ranks)[0]
+        x, count = arrays[f"diffusion/{stiffness:g}"], arrays[f"diffusion/{stiffness:g}/iterations"]
+        # relative residual 1e-10: measured 5.3e-11
+        np.testing.assert_allclose(x, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+        # measured 11 to 14, embedded 11 and 13
+        assert 5 <= count <= alone + 3
+
+
+@needs_mpirun
+def test_checkpoint_of_two_ranks_resumes_in_one_process(on_ranks, embedded):
+    arrays, checkpoint = on_ranks(2)
+    # What rank 0 raised in its third report reached rank 1, which reports nothing.
+    np.testing.assert_array_equal(arrays["stopped"], [3, 0])
+    make, times, stepping = rank_cases.MARCHES["line"]
+    resumed = corrode(
+        make(), times, stepping, solver_tolerance=rank_cases.SOLVER_TOLERANCE,
+        checkpoint=checkpoint, resume=True,
+    )  # fmt: skip
+    expected = embedded["line"]
+    assert len(resumed.history["time"]) == len(expected.history["time"])
+    solid = expected.scene.solid_concentration
+    difference = np.abs(resumed.concentration - expected.concentration).max()
+    assert difference <= rank_cases.SOLVER_TOLERANCE * solid  # as the marches
+
+
+@needs_mpirun
+def test_blocks_narrower_than_the_reach_are_refused(on_ranks):
+    assert "refusal" not in on_ranks(1)[0]
+    for ranks in (2, 4):
+        assert str(on_ranks(ranks)[0]["refusal"]) == (
+            f"ranks: {ranks} for a lattice of 3 nodes; every rank's block must be at least as "
+            "wide as the stencil reaches, 2 nodes, so use fewer"
+        )
+
+
+@pytest.mark.parametrize(
+    ("shape", "ranks", "expected"),
+    [
+        ((64, 64, 64), 1, (1, 1, 1)),
+        ((64, 64, 64), 2, (2, 1, 1)),
+        ((64, 64, 64), 4, (2, 2, 1)),
+        ((64, 64, 64), 8, (2, 2, 2)),
+        ((20, 20, 400), 2, (1, 1, 2)),  # fewest nodes beside a cut
+        ((30, 30), 3, (3, 1)),  # rows stay whole
+        ((100,), 4, (4,)),
+    ],
+)
+def test_blocks(shape, ranks, expected):
+    edges = share_out(work_per_plane(np.ones(shape, bool)), 3, ranks)
+    assert tuple(len(e) - 1 for e in edges) == expected
+    for e, n in zip(edges, shape, strict=True):
+        assert e[0] == 0 and e[-1] == n and np.diff(e).min() >= 3
+        # cuts suit coarse levels at up to a tenth of a block
+        assert np.abs(np.diff(e) - n / (len(e) - 1)).max() <= 0.2 * n / (len(e) - 1)
+
+
+def test_blocks_follow_the_work():
+    """A body at one end of the lattice: the cut goes through its middle."""
+    domain = np.zeros((128, 8), bool)
+    domain[:40] = True
+    (first, cut, last), _ = share_out(work_per_plane(domain), 2, 2)
+    share = domain[first:cut].sum() / domain.sum()
+    assert cut % 8 == 0 and last == 128  # a multiple of a power of two
+    assert 0.5 <= share <= 0.75  # empty planes count a tenth: measured 0.6
+
+
+@pytest.mark.parametrize(("shape", "ranks"), [((7,), 3), ((5, 5), 7), ((5, 5, 5), 16)])
+def test_too_many_blocks_are_refused(shape, ranks):
+    with pytest.raises(ValueError, match=f"ranks: {ranks} for a lattice of"):
+        share_out(work_per_plane(np.ones(shape, bool)), 3, ranks)

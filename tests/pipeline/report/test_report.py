@@ -1,0 +1,451 @@
+"""The report: everything a run holds is in one file, what it does not hold is said, nothing faked.
+
+The run folders are synthetic and have exactly the layout that the pipeline writes.
+"""
+
+import csv
+import html.parser
+import io
+import json
+import re
+from dataclasses import replace
+
+import h5py
+import numpy as np
+import pytest
+from PIL import Image
+
+from pipeline.record.run_folder import RunFolder, StageRecord
+from pipeline.record.run_results import AlloyResult, ImmersionResult, read_run
+from pipeline.record.summary import SummaryRow, write_summary
+from pipeline.report import doubts, picture_set, pictures, plots, provenance, report, wording
+from pipeline.scene.loads import LOADS
+from pipeline.scene.resolution import RESOLUTIONS
+from pipeline.scene.resolve import resolve_scene
+from pipeline.scene.units import format_seconds
+from pipeline.stages.damage_map import compare_lost_volume
+
+WEEKS = ("0w", "4w", "8w", "24w")
+LEFT_OUT = [
+    {"name": "solid_core", "reason": "beyond reach", "bound": 0.00042, "applied": True},
+    {"name": "liquid", "reason": "needed", "bound": 1.0, "applied": False},
+]
+RATIOS = {"Mg-5Gd": (1.0, 0.71, 0.43, 0.0), "Mg-10Gd": (1.0, 0.82, 0.64, 0.21)}
+
+
+def pin_mesh(spacing=4e-4, radius=1e-3, length=4e-3):
+    """A cylinder of tetrahedra: points (n, 3) m and cells (nc, 4)."""
+    from scipy.spatial import Delaunay
+
+    layers, rings = round(length / spacing), round(radius / spacing)
+    points = []
+    for z in np.linspace(0.0, length, layers + 1):
+        points.append((0.0, 0.0, z))
+        for ring in range(1, rings + 1):
+            angle = 2 * np.pi * np.arange(6 * ring) / (6 * ring)
+            r = radius * ring / rings
+            points += list(zip(r * np.cos(angle), r * np.sin(angle), 0 * angle + z, strict=True))
+    points = np.array(points)
+    jitter = 1e-8 * np.random.default_rng(0).normal(size=points.shape)
+    cells = Delaunay(points + jitter).simplices.astype(np.int64)
+    corner = points[cells]
+    volume = np.abs(np.linalg.det(corner[:, 1:] - corner[:, :1])) / 6
+    return points, cells[volume > 1e-4 * spacing**3]
+
+
+def scene_of(alloys=tuple(RATIOS), weeks=WEEKS, **changes):
+    """A resolved scene with shipped data."""
+    return resolve_scene(list(alloys), list(weeks), **changes)
+
+
+def write_csv(path, columns):
+    """Write arrays as the pipeline does: names in the first line."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with open(path, "w", newline="") as handle:
+        writer = csv.writer(handle)
+        writer.writerow(columns)
+        writer.writerows(zip(*columns.values(), strict=True))
+
+
+def lost_volume():
+    """Numbers of a map whose mesh holds 1.23 % less of the loss than the lattice."""
+    concentration = np.full((2, 2, 2), 0.5)
+    metal = np.ones((2, 2, 2), bool)
+    points = np.full((1, 1, 3), 0.5)
+    weights = np.full((1, 1), 8 * (1 - 0.0123))
+    return compare_lost_volume(
+        points, weights, (0, 0, 0), 1.0, concentration, metal, np.ones((2, 2, 2)), 1.0
+    )
+
+
+def write_run(path, scene, points, cells):
+    """Fill a run folder with plausible results of every stage."""
+    folder = RunFolder(path)
+    folder.geometry.mkdir(parents=True)
+    folder.scene_file.write_text(json.dumps(scene.to_json()))
+    with h5py.File(folder.geometry / "mesh.h5", "w") as file:
+        file["points"], file["cells"] = points, cells
+    quality = {
+        "volume": 9.3e-9,
+        "area": 42e-6,
+        "reference_volume": 9.25e-9,
+        "mesh": {"volume": 9.2e-9, "min_shape": 0.31},
+    }
+    (folder.geometry / "geometry.json").write_text(json.dumps(quality))
+    record(folder, folder.geometry, "geometry", 3.0)
+    middle = points[cells].mean(axis=1)
+    depth = np.minimum(1e-3 - np.hypot(middle[:, 0], middle[:, 1]), 2e-3 - abs(middle[:, 2] - 2e-3))
+    rows = []
+    for alloy in scene.alloys:
+        time = np.linspace(0.0, scene.immersion[-1].seconds, 40)
+        loss = 0.25 * np.log10(1 + 9 * time / 1.5e7)
+        balance = np.full_like(time, 3e-13)
+        columns = {"time": time, "volume_loss": loss, "balance_error": balance}
+        write_csv(folder.corrosion(alloy.name) / "history.csv", columns)
+        record(folder, folder.corrosion(alloy.name), "corrode", 40.0, omissions=LEFT_OUT)
+        for moment, ratio in zip(scene.immersion, RATIOS[alloy.name], strict=False):
+            place = folder.immersion(alloy.name, moment.label)
+            place.mkdir(parents=True)
+            damage = np.clip(0.9 - depth / (2e-3 * (1.01 - ratio)), 0, 2 / 3) * (ratio < 1)
+            with h5py.File(place / "damage.h5", "w") as file:
+                file["f0"] = np.repeat(damage[:, None], 4, axis=1)
+            section = {"net_section_left": 0.9 * ratio}
+            record(folder, place, "map", 0.5, **lost_volume(), **section)
+            strain = np.linspace(0, 0.1, 21)
+            force = 500 * ratio * (1 - np.exp(-60 * strain)) * (1 - strain)
+            work = np.cumsum(force) * 2e-5
+            columns = {"elongation": strain, "displacement_m": 4e-3 * strain, "force_N": force}
+            if scene.tensile.load != "axial":
+                force *= 2e-4
+                names = LOADS[scene.tensile.load]
+                reaction = f"{names.reaction}_{names.unit}"
+                columns = {"strain": strain, "angle_rad": 4 * strain, reaction: force}
+            energy = {"work_J": work, "stored_J": 0.2 * work, "dissipated_J": 0.798 * work}
+            write_csv(place / "tensile.csv", columns | energy)
+            status = "severed" if ratio == 0 else "completed"
+            found = {"status": status, "cells": 3698, "torn_cells": 7 if ratio < 0.7 else 0}
+            (place / "tensile.json").write_text(json.dumps(found))
+            record(folder, place, "pull", 12.0)
+            rows.append(
+                SummaryRow(
+                    alloy.name,
+                    moment.days,
+                    float(np.interp(moment.seconds, time, loss)),
+                    float(damage.mean()),
+                    float(force.max()),
+                    ratio,
+                    0.045 if ratio else 0.0,
+                    status,
+                    scene.tensile.load,
+                )
+            )
+    write_summary(folder.summary_file, rows)
+    return path
+
+
+def record(folder, place, stage, seconds, **numbers):
+    """Write the record of a finished stage."""
+    place.mkdir(parents=True, exist_ok=True)
+    entry = StageRecord(stage, "0", seconds, numbers=numbers, versions={"perilife": "0.1.0"})
+    folder.write_record(place, entry)
+
+
+class _Page(html.parser.HTMLParser):
+    """Reads a page: its tags in order, what it would load, its text by section."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.loads, self.sections, self._section = [], [], {}, ""
+        self.pictures, self.skip = [], False
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        attributes = dict(attributes)
+        self.skip = tag == "style"
+        if tag in ("section", "header"):
+            self._section = attributes.get("id", "header")
+        if tag not in ("meta", "img", "br"):
+            self.open.append(tag)
+        if tag == "img":
+            self.pictures.append(attributes)
+        for name in ("src", "href", "xlink:href", "srcset"):
+            if not attributes.get(name, "#").startswith(("#", "data:")):
+                self.loads.append(attributes[name])
+
+    def handle_endtag(self, tag):
+        self.skip = False
+        while self.open and self.open.pop() != tag:
+            raise AssertionError(f"tag {tag} closes another one")
+
+    def handle_data(self, data):
+        if not self.skip:
+            self.sections[self._section] = self.sections.get(self._section, "") + data
+
+
+def page_of(path):
+    """Write the report of a run folder and read it again."""
+    target = report.write_report(path)
+    assert target == path / "report.html"
+    text = target.read_text(encoding="utf-8")
+    return _Page(text), text
+
+
+@pytest.fixture(scope="module")
+def mesh():
+    return pin_mesh()
+
+
+@pytest.fixture(scope="module")
+def full(tmp_path_factory, mesh):
+    """A complete run with measured points for one alloy, and its report."""
+    path = tmp_path_factory.mktemp("report") / "run"
+    data = path.parent / "mine.csv"
+    data.write_text(
+        "immersion time [w], volume loss [%], standard deviation [%]\n4, 9.5, 1\n8,14,2\n"
+    )
+    scene = scene_of(measured_volume_loss={"Mg-5Gd": str(data)})
+    write_run(path, scene, *mesh)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(picture_set, "ENOUGH_CELLS", 5000)  # coarser pictures, a third of the time
+        return path, *page_of(path)
+
+
+def test_the_page_stands_alone_and_is_well_formed(full):
+    _, page, text = full
+    assert page.loads == []
+    assert not re.search(r"<script|@import|url\((?!#)", text)
+    assert page.open == []  # every tag is closed
+
+
+def test_the_answer_comes_first_one_sentence_for_each_alloy(full):
+    _, page, _ = full
+    top = page.sections["header"]
+    assert "Mg-5Gd keeps 43 % of its strength after 8 weeks and none after 24 weeks" in top
+    assert "Mg-10Gd keeps 64 % of its strength after 8 weeks and 21 % after 24 weeks" in top
+    # between 8 weeks (0.64) and 24 weeks (0.21): 8 + 16 * 0.14 / 0.43 = 13.2 weeks
+    assert "gone after about 13 weeks" in top
+    assert "17 values are assumed, fitted or known to be wrong" in top
+    assert "The run took 3 min 03 s" in top  # 3 + 2 (40 + 4 (0.5 + 12))
+
+
+def test_table_pictures_and_curves_are_complete(full):
+    path, page, text = full
+    assert all(word in page.sections["table"] for word in ("Mg-5Gd", "severed", "21 %", "8 weeks"))
+    assert len(page.pictures) == 2 * 4 * 2  # alloys, times, whole and cut
+    assert all(picture["alt"] for picture in page.pictures)
+    assert text.count("<svg") == 4  # strength, volume loss, two sets of force-elongation curves
+    assert "Mg-5Gd, measured" in text and "Mg-10Gd, measured" not in text
+    assert "missing" not in page.sections
+    with Image.open(path / "overview.png") as picture:
+        assert picture.size[0] > 1000 and np.asarray(picture.convert("L")).std() > 10
+
+
+def test_every_assumed_value_and_only_used_sources_are_listed(full):
+    path, page, _ = full
+    rows = provenance.parameter_rows(read_run(path).scene)
+    listed = provenance.to_be_listed(rows)
+    assert {row.kind for row in listed} == {"assumed", "fitted", "published_uncorrected"}
+    names = [row.name for row in listed]
+    assert names.count("Yield stress") == 2 and names.count("Interface diffusivity") == 2
+    assert f"These {len(listed)} values" in page.sections["assumed"]
+    for row in listed:
+        assert row.value in page.sections["assumed"] and row.source and row.where
+    sources = {row.source for row in rows if row.source}
+    assert set(provenance.references(rows)) == sources
+    assert page.sections["references"].count("doi:") <= len(sources)
+
+
+def test_doubt_and_cost_are_stated(full):
+    _, page, _ = full
+    sure = page.sections["sure"]
+    error = RESOLUTIONS["quick"].tensile_error.error
+    assert f"strength left is off by at most {100 * error:.1f} % of its value" in sure
+    assert "3e-13" in sure and "1.23 %" in sure and "0.20 %" in sure  # balance, map, energy
+    quick = RESOLUTIONS["quick"].corrosion_error
+    for alloy in ("Mg-5Gd", "Mg-10Gd"):
+        assert f"{100 * quick.of(alloy):.1f} % for {alloy}" in sure
+    assert f"1 min 20 s → {format_seconds(80 * quick.half_error_cost)}" in sure  # 2 x 40 s
+    assert "measured up to 8 weeks in this very scene" in sure
+    assert "beyond reach" in sure and "0.042 % of the volume loss" in sure
+    assert "7 of 3,698" in sure  # cells let go
+    highest = max(ratio for ratios in RATIOS.values() for ratio in ratios[1:])
+    assert f"{90 * highest:.0f} % against {100 * highest:.0f} %" in sure  # the weakest section
+    assert "needed" not in sure  # what was not left out is not listed
+    assert "+0.54 %" in page.sections["made"]  # 9.3 / 9.25
+
+
+def test_a_run_that_departs_from_its_preset_does_not_bear_its_name_alone():
+    assert doubts.settings_name(scene_of()) == "“quick”"
+    assert doubts.settings_name(scene_of(mesh_size=0.19e-3)) == "“quick”, changed"
+
+
+def test_a_value_set_by_hand_is_not_given_a_source():
+    scene = scene_of(alloys=("Mg-5Gd",))
+    alloy = scene.alloys[0]
+    changed = replace(alloy.corrosion, interface_diffusivity=1e-15)
+    rows = provenance.parameter_rows(scene)
+    kept = next(row for row in rows if row.name == "Interface diffusivity")
+    assert kept.kind == "fitted" and kept.value == "2.8779e-15"
+    by_hand = provenance.parameter_rows(replace(scene, alloys=(replace(alloy, corrosion=changed),)))
+    row = next(row for row in by_hand if row.name == "Interface diffusivity")
+    assert (row.kind, row.source, row.value) == ("set by hand", "", "1e-15")
+    assert "2.8779e-15" in row.remark
+
+
+@pytest.mark.parametrize(
+    ("law", "listed", "remark"),
+    [
+        ("volume_loss", True, None),
+        ("volume_loss:length=0.1", False, "D_int was fitted with the l of the parameter set"),
+        ("constant", False, "D_int was fitted with a rate that falls with the volume loss (l)"),
+        ("tafel:overpotential=0.02,slope=0.1", False, "D_int was fitted with a rate that falls"),
+        ("butler_volmer:overpotential=0.01", False, "D_int was fitted with a rate that falls"),
+    ],
+)
+def test_the_length_of_the_fit_is_listed_only_where_the_law_uses_it(law, listed, remark):
+    scene = scene_of(alloys=("Mg-5Gd",))
+    scene = replace(scene, corrosion=replace(scene.corrosion, kinetics=law))
+    rows = provenance.parameter_rows(scene)
+    assert any(row.symbol == "D_int" for row in rows)
+    assert any(row.symbol == "l" for row in rows) == listed
+    remarks = [row.remark for row in rows if row.name == "Law of the rate"]
+    assert (not remarks) if remark is None else remarks[0].startswith(remark)
+
+
+def test_values_of_the_alloys_stand_side_by_side():
+    row = provenance.ParameterRow("S", "A", "n", "", "1", "m", "fitted", "key", "Table 1", "x; low")
+    other = replace(row, alloy="B", value="2", remark="x; high")
+    alone = replace(row, alloy="B", kind="set by hand", value="3")
+    whole = replace(row, section="T", alloy="", remark="y")
+    found = provenance.side_by_side([row, other, alone, whole], ["A", "B"])
+    assert [r.values for r in found["S"]] == [("1", "2"), ("–", "3")]
+    assert found["S"][0].remark == "A: low; B: high; x"
+    assert found["T"][0].values == ("1",) and found["T"][0].remark == "y"
+
+
+@pytest.mark.parametrize(
+    ("load", "reaction", "done"), [("torsion", "torque", "twisted"), ("bending", "moment", "bent")]
+)
+def test_a_turned_solid_is_reported_in_words_and_units_of_its_load(tmp_path, load, reaction, done):
+    scene = scene_of(alloys=("Mg-5Gd",), weeks=("0w", "8w"), tensile={"load": load})
+    path = write_run(tmp_path / "run", scene, *pin_mesh(spacing=1e-3))
+    (path / "geometry" / "mesh.h5").unlink()  # no pictures
+    header = (path / "summary.csv").read_text().splitlines()[0]
+    assert f"peak_{reaction}_N_m,strength_ratio,strain_at_peak" in header
+    page, text = page_of(path)
+    assert f"71 % of its strength in {load} after 8 weeks" in page.sections["header"]
+    assert f"the largest {reaction} it bears up to 10 % nominal strain" in page.sections["header"]
+    table = " ".join(page.sections["table"].split())
+    # 500 (1 - exp(-60 e)) (1 - e) is largest at e = 0.065, 458 N; times 0.2 mm, in N mm
+    assert (
+        "92 N mm" in table and f"Peak{reaction}" in table and f"{load.capitalize()} test" in table
+    )
+    assert f"{done} to the end" in table
+    curves = page.sections["curves"]
+    assert f"{reaction} against angle" in curves
+    assert "Angle (°)" in text and f"{reaction.capitalize()} (N mm)" in text
+    assert f"Strength in {load} left (%)" in text
+    sure, settings = page.sections["sure"], page.sections["parameters"]
+    assert f"has been measured of tensile tests only, not of {load} tests" in sure
+    assert not re.search(r"strength left is off|of the strength left \d", text)
+    assert ("Axis of bending from x" in settings) == (load == "bending")
+    for section in ("header", "table", "curves"):
+        assert not re.search("tensile|force|elongation|pull", page.sections[section], re.IGNORECASE)
+
+
+def test_missing_parts_are_said(tmp_path, mesh):
+    path = write_run(tmp_path / "run", scene_of(weeks=("0w", "4w")), *mesh)
+    (path / "Mg-10Gd" / "4w" / "tensile.csv").unlink()
+    (path / "Mg-10Gd" / "corrosion" / "history.csv").unlink()
+    stopped = json.dumps({"status": "stopped: no convergence at strain 0.02"})
+    (path / "Mg-5Gd" / "4w" / "tensile.json").write_text(stopped)
+    (path / "geometry" / "mesh.h5").unlink()
+    page, text = page_of(path)
+    said = page.sections["missing"]
+    assert "the tensile test of Mg-10Gd after 4w" in said
+    assert "the course of corrosion of Mg-10Gd" in said
+    assert "the end of the tensile test of Mg-5Gd after 4w" in said
+    assert "all pictures" in said and page.pictures == []
+    assert "There are no pictures" in page.sections["pictures"]
+
+
+def test_a_run_with_nothing_but_a_scene_has_an_honest_report(tmp_path):
+    folder = RunFolder(tmp_path)
+    folder.scene_file.write_text(json.dumps(scene_of(alloys=("Mg-5Gd",), weeks=("8w",)).to_json()))
+    page, text = page_of(tmp_path)
+    assert "No tensile test of Mg-5Gd is in this run." in page.sections["header"]
+    assert "no table of results yet" in page.sections["table"]
+    assert "<svg" not in text and page.pictures == []
+
+
+def test_a_folder_that_is_no_run_is_refused(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"holds no scene\.json"):
+        report.write_report(tmp_path)
+
+
+def test_failing_graphics_leave_a_report_that_says_so(tmp_path, mesh, monkeypatch):
+    path = write_run(tmp_path / "run", scene_of(alloys=("Mg-5Gd",), weeks=("0w",)), *mesh)
+    monkeypatch.setattr(pictures.sys, "executable", "/bin/false")
+    page, _ = page_of(path)
+    assert "rendering stopped with exit code 1" in page.sections["missing"]
+    assert page.pictures == [] and not (path / "overview.png").exists()
+    assert "was tested only before immersion; the intact solid carries" in page.sections["header"]
+
+
+def test_a_picture_shows_less_metal_after_more_corrosion(mesh):
+    points, cells = mesh
+    radius = np.hypot(points[:, 0], points[:, 1])
+    shown = []
+    for limit in (2e-3, 7e-4, 3e-4):
+        damage = 2 / 3 + (radius - limit) / 1e-3  # linear, so that the mesh holds it exactly
+        image = pictures.screw_picture(points, cells, damage, outline=False, size=(120, 176))
+        assert image.shape == (176, 120, 4)
+        shown.append(int((image[..., 3] > 128).sum()))
+    # measured 8300, 5500, 2000 pixels of 21120
+    assert shown[0] > 1.3 * shown[1] > 1.3**2 * shown[2] > 0
+    gone = pictures.screw_picture(points, cells, np.full(len(cells), 2 / 3), outline=False)
+    assert (gone[..., 3] > 128).sum() == 0
+
+
+def test_average_at_points_keeps_a_constant_and_the_bounds(mesh):
+    points, cells = mesh
+    constant = pictures.damage_at_points(points, cells, np.full((len(cells), 4), 0.3))
+    # measured 1e-16: a weighted mean of equal numbers
+    np.testing.assert_allclose(constant, 0.3, rtol=1e-13)
+    field = np.random.default_rng(1).uniform(0, 2 / 3, len(cells))
+    values = pictures.damage_at_points(points, cells, field)
+    assert field.min() <= values.min() < values.max() <= field.max()
+
+
+@pytest.mark.parametrize(
+    "seconds, words",
+    [(604800, "1 week"), (56 * 86400, "8 weeks"), (86400, "1 day"), (5400, "5400 seconds")],
+)
+def test_durations_are_written_in_the_largest_whole_unit(seconds, words):
+    assert wording.duration(seconds) == words
+
+
+def test_small_remains_do_not_read_as_none_and_small_losses_not_as_all():
+    assert wording.percent(0.004) == "0.4 %"
+    assert wording.percent(0.9991) == "99.9 %"
+    assert wording.percent(0.0) == "0 %" and wording.percent(1.0) == "100 %"
+
+
+def test_drawing_leaves_matplotlib_as_it_was():
+    import matplotlib
+
+    before = dict(matplotlib.rcParams)
+    row = SummaryRow("A", 7.0, 0.1, 0.1, 100.0, 0.5, 0.05, "completed")
+    alloy = AlloyResult("A", {}, (ImmersionResult("1w", 604800.0, summary=row),))
+    svg = plots.strength_plot([alloy])
+    assert dict(matplotlib.rcParams) == before
+    assert "Strength left (%)" in svg and "Immersion time (days)" in svg
+    assert "var(--s0)" in svg and not re.search(r"#a1b[1-3]c", svg)
+
+
+def test_one_png_is_written_whole_or_not_at_all(tmp_path):
+    image = np.zeros((8, 6, 4), np.uint8)
+    pictures.write_png(image, tmp_path / "new" / "a.png")
+    assert [p.name for p in (tmp_path / "new").iterdir()] == ["a.png"]
+    with Image.open(io.BytesIO((tmp_path / "new" / "a.png").read_bytes())) as picture:
+        assert picture.size == (6, 8)

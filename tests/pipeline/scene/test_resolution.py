@@ -1,0 +1,131 @@
+"""The presets come from the table of the study, and a report quotes their errors."""
+
+import tomllib
+from types import SimpleNamespace
+
+import pytest
+
+from pipeline.report import doubts
+from pipeline.scene.resolution import (
+    PRESETS_FILE,
+    RESOLUTIONS,
+    TENSILE_FILE,
+    read_presets,
+    resolution,
+)
+from pipeline.scene.resolve import resolve_scene
+from pipeline.scene.scene import ScrewGeometry
+from pipeline.scene.screw import ScrewParameters
+
+
+def run_of(**changes):
+    """As much of a run as the doubts about its discretisation look at."""
+    scene = resolve_scene(["Mg-5Gd", "Mg-10Gd"], ["0w", "8w"], **changes)
+    return SimpleNamespace(scene=scene, scene_extras={}, records=(), alloys=scene.alloys)
+
+
+def test_each_preset_is_surer_than_the_one_before_it():
+    errors = [RESOLUTIONS[name].corrosion_error.error for name in ("quick", "standard", "fine")]
+    assert errors == sorted(errors, reverse=True)
+    # What the presets were chosen for; fine takes the best that was measured.
+    assert errors[0] <= 0.10 and errors[1] <= 0.03
+    spacings = [RESOLUTIONS[name].spacing for name in ("quick", "standard", "fine")]
+    assert spacings == sorted(spacings, reverse=True)
+    assert {r.horizon for r in RESOLUTIONS.values()} == {200e-6}
+
+
+def test_the_error_of_a_preset_is_the_larger_one_of_its_alloys():
+    for preset in RESOLUTIONS.values():
+        known = preset.corrosion_error
+        # The file holds two digits of each number: 5 % of rounding.
+        assert max(map(known.of, known.time)) == pytest.approx(known.error, rel=0.05)
+        assert known.of("an alloy of one's own") == known.error
+        assert known.half_error_cost > 1
+
+
+def test_a_file_that_is_no_table_of_presets_is_refused(tmp_path):
+    path = tmp_path / "presets.toml"
+    path.write_text(PRESETS_FILE.read_text().replace("[fine]", "[coarse]", 1))
+    with pytest.raises(ValueError, match="presets.toml"):
+        read_presets(path)
+    path.write_text("quick = [")
+    with pytest.raises(ValueError, match="presets.toml"):
+        read_presets(path)
+    path = tmp_path / "presets_tensile.toml"
+    path.write_text(TENSILE_FILE.read_text().replace("element = ", "shape = ", 1))
+    with pytest.raises(ValueError, match="presets_tensile.toml that `perilife study tensile`"):
+        read_presets(tensile=path)
+    with pytest.raises(ValueError, match="quick, standard, fine"):
+        resolution("medium")
+
+
+@pytest.mark.parametrize("name", RESOLUTIONS)
+def test_the_report_quotes_the_error_of_the_preset_used(name):
+    text = doubts.error_estimate(run_of(resolution_name=name))
+    known = RESOLUTIONS[name].corrosion_error
+    assert f"{100 * known.of('Mg-10Gd'):.1f} % for Mg-10Gd" in text
+    assert "in this very scene" in text
+    most = max(map(known.of, known.time))
+    assert f"{100 * most:.1f} %" in doubts.in_short(run_of(resolution_name=name), 3)
+
+
+def test_the_tensile_error_falls_with_the_preset():
+    after = [RESOLUTIONS[n].tensile_error.error for n in ("quick", "standard", "fine")]
+    assert after == sorted(after, reverse=True) and after[-1] > 0.001
+    # Fourteen tests on two cores within an hour.
+    assert 14 / 2 * RESOLUTIONS["standard"].tensile_error.processor_seconds <= 3600
+
+
+def test_a_preset_that_keeps_neither_its_error_nor_its_time_says_so():
+    table = tomllib.loads(TENSILE_FILE.read_text(encoding="utf-8"))
+    assert table["quick"]["most_seconds"] == 30
+    for name in RESOLUTIONS:
+        preset = table[name]
+        larger = max(preset["mesh_error"], preset["force_error"])
+        kept = (
+            larger + preset["increment_error"] <= preset["wanted_error"]
+            and preset["processor_seconds"] <= preset["most_seconds"]
+        )
+        assert preset["reached"] == kept
+
+
+@pytest.mark.parametrize("name", RESOLUTIONS)
+def test_the_report_quotes_the_tensile_error_of_the_preset_used(name):
+    error = f"{100 * RESOLUTIONS[name].tensile_error.error:.1f} %"
+    run = run_of(resolution_name=name)
+    text = doubts.error_estimate(run)
+    assert f"at most {error} of its value because mesh" in text and "measured up to 24w" in text
+    assert f"strength left up to {error}" in doubts.in_short(run, 3)
+    assert "on the reference screw of Mg-5Gd and Mg-10Gd;" in doubts.error_estimate(run)
+    other = run_of(resolution_name=name, geometry=ScrewGeometry(ScrewParameters(thread="none")))
+    assert "Mg-5Gd and Mg-10Gd, not here" in doubts.error_estimate(other)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"mesh_size": 0.19e-3},
+        {"tensile": {"damage": "point"}},
+        {"tensile": {"increment": 0.03}},
+        {"tensile": {"bottom_grip": 0.0, "top_grip": 0.0}},
+    ],
+)
+def test_other_tensile_settings_do_not_borrow_the_error_of_a_preset(changes):
+    run = run_of(**changes)
+    text = doubts.error_estimate(run)
+    assert "has not been measured for these grips, mesh, element and increment" in text
+    assert "strength left is off by" not in text
+    assert "of the strength not measured" in doubts.in_short(run, 3)
+
+
+def test_other_settings_do_not_borrow_the_error_of_a_preset():
+    for changes in ({"spacing": 80e-6}, {"corrosion": {"step": 3600.0}}):
+        text = doubts.error_estimate(run_of(**changes))
+        assert "has not been measured for these lattice and time settings" in text
+        assert "volume loss is off by" not in text
+
+
+def test_another_solid_is_told_where_the_error_was_measured():
+    other = ScrewGeometry(ScrewParameters(thread="none"))
+    text = doubts.error_estimate(run_of(geometry=other))
+    assert "on the reference screw with Table 5.1, not here" in text

@@ -1,0 +1,213 @@
+"""The study of the corrosion stage: its reference, its arithmetic, its files, the rate tables."""
+
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import quad, quad_vec
+
+from peri.corrosion.kinetics import ConstantRate
+from pipeline.scene.resolution import RESOLUTIONS, read_presets
+from pipeline.studies import boundaries as study_boundaries
+from pipeline.studies import corrosion_results as study_results
+from pipeline.studies import rates as study_rates
+from pipeline.studies.corrosion import (
+    LATTICE_CURVES,
+    RATE_CHANGES,
+    STEP_CURVES,
+    Row,
+    Study,
+    _Cases,
+)
+from pipeline.studies.reference import continuum_volume_loss
+from tests.pipeline.geometry.solids import icosphere
+
+ROOT = Path(__file__).parents[3]
+
+
+class Surface(tuple):
+    """Points and triangles that also answer like a solid."""
+
+    @property
+    def points(self):
+        return self[0]
+
+
+def ball_volume_loss(radius, horizon, flux, concentration, times):
+    """V_L of a ball in clean liquid at constant rate, C_sat -> 0, by quadrature of the overlap."""
+
+    def liquid(rho):
+        """Integral over directions and r of the liquid's share / r, delta = 1."""
+
+        def share(r):
+            return np.clip(0.5 * (1 - (radius**2 - rho**2 - r * r) / (2 * rho * r)), 0, 1) / r
+
+        return 4 * math.pi * quad(share, radius - rho, horizon, limit=200)[0]
+
+    constant = 3 / (math.pi * horizon**2) * flux * horizon / (3 * concentration)
+
+    def lost(rho):
+        if radius - rho >= horizon:
+            return np.zeros(len(times))
+        return 3 * rho**2 / radius**3 * -np.expm1(-constant * liquid(rho) * np.asarray(times))
+
+    return quad_vec(lost, 1e-9, radius * (1 - 1e-12), limit=400)[0]
+
+
+def test_reference_is_exact_for_a_ball():
+    radius, horizon, flux, concentration = 1.0, 0.3, 1.0, 1.0
+    times = [0.01, 0.05, 0.2]
+    exact = ball_volume_loss(radius, horizon, flux, concentration, times)
+    assert exact[0] > 0.01 and exact[-1] < 0.7
+    found = continuum_volume_loss(
+        Surface(icosphere(radius, 5)), horizon, flux, concentration, 1e-9 * concentration,
+        ConstantRate(), times, cells=10, directions=32,
+    )  # fmt: skip
+    # Measured 0.10, 0.13, 0.10 %; 0.26 % with another draw: the scatter of 150,000 random points.
+    assert found == pytest.approx(exact, rel=5e-3)
+
+
+def row(curve, m=2, change=None, step=None, seconds=1.0, time_error=0.0, lattice_error=0.0, **more):
+    entry = Row(
+        "Mg", curve, "", m, 2e-4 / m, "computed", "sdirk2", step, change, 1000 * m**3, 10, seconds,
+        seconds, 0.05, 0.11, 0.15, time_error, lattice_error,
+    )  # fmt: skip
+    return replace(entry, **more)
+
+
+def rows_of_order_one():
+    """Lattice error 0.12/m at cost m^4; time error change^2/10 at cost 1/change."""
+    rows = [row(STEP_CURVES[2], 2, c, None, 1 / c, c**2 / 10, 0.06) for c in RATE_CHANGES]
+    rows = [replace(r, steps=round(4 / r.rate_change)) for r in rows]
+    return rows + [
+        row(LATTICE_CURVES[0], m, 0.1, None, 0.1 * m**4, 1e-3, 0.12 / m) for m in (2, 3, 4, 6)
+    ]
+
+
+def test_orders_are_those_of_the_errors():
+    orders = {
+        curve: order for _, curve, order, _ in study_results.observed_orders(rows_of_order_one())
+    }
+    assert orders == pytest.approx({STEP_CURVES[2]: 2.0, LATTICE_CURVES[0]: 1.0}, abs=1e-9)
+    assert study_results.fine_order(rows_of_order_one()) == pytest.approx(1.0, abs=1e-9)
+
+
+def test_the_cheapest_run_within_an_error_is_found_or_said_to_be_missing():
+    found = {wanted: r for _, wanted, r in study_results.cheapest(rows_of_order_one())}
+    assert (
+        found[0.10].horizon_ratio == 2 and found[0.10].processor_seconds == 1.6
+    )  # of 1.6, 2.5 ...
+    assert found[0.03].horizon_ratio == 6  # 0.001 + 0.02
+    assert found[0.01] is None and found[0.003] is None
+
+
+def test_the_summary_names_the_cheapest_setting_of_each_error_or_the_best_one():
+    pair = row(
+        LATTICE_CURVES[3], 12, seconds=9.0, lattice_error=0.008, liquid="left out",
+        choice="δ/6, δ/12",
+    )  # fmt: skip
+    for rows, last in (
+        (rows_of_order_one(), "1 %: not reached; best: spacing δ/6, liquid computed, sdirk2, 0.1"),
+        ([*rows_of_order_one(), pair], "1 %: spacing δ/6, δ/12 extrapolated, liquid left out: 9.0"),
+    ):
+        lines = study_results.summary_lines(Study(tuple(rows), 2e-4, {}, (), (), ()))
+        assert any(line.startswith(f"Mg, cheapest within {last}") for line in lines), lines
+    assert any(line.startswith("Mg, cheapest within 0.3 %: not reached; best:") for line in lines)
+    assert "(error 0.8 %)" in next(line for line in lines if "0.3 %" in line)
+
+
+def test_a_moved_lattice_holds_the_same_scene():
+    cases = _Cases("Mg-10Gd")
+    scene, (one, other) = cases.scene(2), (cases.moved(2, np.full(3, s)) for s in (0.2, 0.7))
+    metal = [(s.capacity() * s.metal).sum() for s in (scene, one, other)]
+    # measured 1.1e-4
+    assert metal == pytest.approx([metal[0]] * 3, rel=5e-4)
+    counts = [s.domain.sum() for s in (scene, one, other)]
+    # measured 0.1 and 0.6 %
+    assert counts == pytest.approx([counts[0]] * 3, rel=0.02)
+    assert not np.allclose(one.lattice.origin, other.lattice.origin, atol=1e-5)
+
+
+def test_presets_follow_from_the_rows_and_can_be_read_back(tmp_path):
+    study = Study(tuple(rows_of_order_one()), 2e-4, {}, (), (), ())
+    path = tmp_path / "presets.toml"
+    path.write_text(study_results.presets_text(study, "the command"))
+    presets = read_presets(path)
+    # quick: time may use a tenth of 10 %, so 0.2 (0.4 %) and not 0.4 (1.6 %).
+    assert (presets["quick"].spacing, presets["quick"].rate_change) == (1e-4, 0.2)
+    # standard: 0.12/m below 3 % less a tenth; fine: 1 % is out of reach, the best is taken.
+    assert presets["standard"].spacing == presets["fine"].spacing == pytest.approx(2e-4 / 6)
+    quick, fine = (presets[name].corrosion_error for name in ("quick", "fine"))
+    assert quick.error == pytest.approx(0.064) and quick.half_error_measured
+    assert not fine.half_error_measured
+    assert fine.half_error_cost == pytest.approx(2.0**4, rel=0.05)  # m^4 and order one
+    assert fine.command == "the command"
+
+
+def test_the_files_of_a_study_are_whole(tmp_path):
+    rows = rows_of_order_one()
+    study = Study(tuple(rows), 2e-4, {}, (), (("Mg", 2e-4, 0.15),), (("Mg", 0.5, 1e-3),))
+    paths = study_results.write_study(study, tmp_path / "out", "the command")
+    assert all(path.stat().st_size > 200 for path in paths)
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == sorted(p.name for p in paths)
+    assert study_results.read_rows(paths[0]) == rows
+    assert "observed order 2.00 in the step" in paths[1].read_text()
+    assert paths[2].read_bytes().startswith(b"\x89PNG")
+
+
+def test_flux_along_the_axes_is_exact_and_other_directions_improve_with_the_lattice():
+    entries = study_rates.flux_errors("axis", (2, 4, 8))
+    for entry in entries:
+        # Exact by calibration; measured 4e-16.
+        assert max(abs(entry.flat[d, 0.0]) for d in (1, 2, 3)) < 1e-13
+    for key in ((2, 30.0), (3, 45.0)):
+        errors = [entry.flat[key] for entry in entries]
+        assert errors == sorted(errors, reverse=True) and errors[-1] > 1e-3
+    mean = study_rates.flux_errors("isotropic", (4,))[0]
+    # A sphere has all orientations: measured -0.08 % at m = 4, of which curvature makes -0.11 %.
+    assert abs(mean.sphere) < 2e-3
+
+
+def test_tables_in_the_documentation_are_those_that_the_command_prints(capsys):
+    study_rates.print_rates()
+    study_boundaries.print_boundaries()
+    printed = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| ")]
+    assert len(printed) > 60
+    text = (ROOT / "peri" / "README.md").read_text(encoding="utf-8")
+    missing = [line for line in printed if line not in text]
+    assert not missing
+    assert not re.search(r"TODO|TBD", text)
+
+
+def test_the_example_of_the_documentation_runs(tmp_path, monkeypatch, capsys):
+    text = (ROOT / "peri" / "README.md").read_text(encoding="utf-8")
+    code = re.search(r"```python\n(.*?)```", text, re.S).group(1)
+    monkeypatch.chdir(tmp_path)
+    names: dict = {}
+    exec(compile(code, "peri/README.md", "exec"), names)
+    losses = names["result"].volume_loss
+    assert 0.02 < losses[0] < losses[1] < 0.2
+    assert (tmp_path / "pin.h5").stat().st_size > 1000
+
+
+def test_presets_of_the_documentation_are_those_in_use():
+    text = (ROOT / "pipeline" / "README.md").read_text(encoding="utf-8")
+    for name, preset in RESOLUTIONS.items():
+        line = next(line for line in text.splitlines() if line.startswith(f"| `{name}` |"))
+        known = preset.corrosion_error
+        for number in (
+            f"{1e6 * preset.spacing:.0f} um",
+            f"| {preset.rate_change:g} |",
+            f"{100 * known.of('Mg-5Gd'):.1f} %, {100 * known.of('Mg-10Gd'):.1f} %",
+        ):
+            assert number in line, (name, number)
+        line = [line for line in text.splitlines() if line.startswith(f"| `{name}` |")][1]
+        sizes = f"{1e3 * preset.mesh_size:g}/{1e3 * preset.mesh_size_fine:g} mm, {preset.element} |"
+        for number in (
+            sizes,
+            f"| {100 * preset.increment:g} % | {100 * preset.tensile_error.error:.1f} % |",
+        ):
+            assert number in line, (name, number)

@@ -1,0 +1,182 @@
+"""The studies of the tensile stage and of the whole life cycle: arithmetic, tables, presets."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.scene.resolution import NAMES, read_presets
+from pipeline.studies import life_cycle
+from pipeline.studies import tensile as study
+from pipeline.studies import tensile_results as results
+from pipeline.studies.workshop import Pull, Row, Workshop, read_rows, write_rows
+from tests.fem.meshes import box
+
+EXACT = {"0w": 450.0, "8w": 270.0}
+
+
+def rows_of_order_one():
+    """Peak forces exact * (1 + c h^order): P2 order 2, P1-Fbar order 1, increments order 1."""
+    rows = []
+
+    def add(curve, t, cells, size, force, seconds, **more):
+        base = Row(
+            curve, f"{1e3 * size:g} mm", "Mg", t, "P2", size, size, study.INCREMENT, cells=cells,
+            peak_force=force, processor_seconds=seconds, increments=20, iterations=7,
+            status="past_peak",
+        )  # fmt: skip
+        rows.append(replace(base, **more))
+
+    for t, exact in EXACT.items():
+        corroded = float(t != "0w")
+        for n in (2, 4, 8):
+            h = 1.0 / n
+            error = 0.8 * h**2 * corroded
+            add("P2", t, n**3, 1e-3 * h, exact * (1 + error), 10.0 * n**3, element="P2")
+            error = 0.8 * h * corroded
+            add("P1-Fbar", t, n**3, 1e-3 * h, exact * (1 + error), float(n**3), element="P1-Fbar")
+        for x in (0.02, 0.01, 0.005):
+            force = exact * (1 + 2 * x * corroded)
+            add(
+                study.INCREMENT_CURVE, t, 8, 0.25e-3, force, 0.05 / x, element="P1-Fbar",
+                increment=x, increments=round(0.2 / x), samples=3,
+            )  # fmt: skip
+    return rows
+
+
+def test_the_limit_of_the_meshes_is_exact_for_a_power_of_the_size():
+    sizes = np.array([0.5, 0.25, 0.125])
+    for order in (1.0, 1.5, 2.0):
+        value, uncertainty = study.limit_of(sizes, 5.0 + 3.0 * sizes**order)
+        assert value == pytest.approx(5.0, abs=1e-9)
+        assert uncertainty == pytest.approx(3.0 * sizes[-1] ** order)
+    # Where the values go to and fro, nothing is extrapolated and all of it is doubt.
+    assert study.limit_of(sizes, [5.0, 5.4, 5.1]) == pytest.approx((5.1, 0.4))
+    assert study.limit_of(sizes[:2], [5.0, 5.4]) == pytest.approx((5.4, 0.4))
+
+
+def test_errors_of_ratio_and_increment_are_those_put_in():
+    errors = study.Errors(study.Study(tuple(rows_of_order_one())), "Mg")
+    assert errors.ratio["8w"][0] == pytest.approx(270 / 450)
+    coarse = errors.curve("P1-Fbar", "8w")[0]
+    # 40 % of the mesh, and the distance of the finest P2 mesh from the limit: 0.8 / 64.
+    assert errors.ratio_error(coarse) == pytest.approx(0.4 + 0.0125)
+    assert errors.force_error(coarse) == pytest.approx(0.4)
+    assert errors.increment_errors() == pytest.approx({0.02: 0.04, 0.01: 0.02, 0.005: 0.01})
+
+
+def test_the_cheapest_setting_is_within_the_error_and_the_seconds():
+    found = study.settings(study.Study(tuple(rows_of_order_one())))
+    assert len(found) == 6 * 3
+    best, reached = study.cheapest(found, 0.5)
+    assert reached and best.element == "P1-Fbar" and best.error <= 0.5
+    assert best.seconds == min(s.seconds for s in found if s.error <= 0.5)
+    weaker = [replace(s, force_error=0.6) if s is best else s for s in found]  # counts, too
+    other, reached = study.cheapest(weaker, 0.5)
+    assert reached and other is not best and other.seconds >= best.seconds
+    best, reached = study.cheapest(found, 1e-3)
+    assert not reached and best.element == "P2"
+    best, reached = study.cheapest(found, 1e-3, most=100.0)
+    assert not reached and best.seconds <= 100.0
+
+
+def test_a_mesh_with_a_test_that_stopped_is_no_setting():
+    rows = rows_of_order_one()
+    broken = [
+        replace(r, status="stopped: no prediction") if r.curve == "P1-Fbar" and r.cells == 8 else r
+        for r in rows
+    ]
+    before, after = (study.settings(study.Study(tuple(r))) for r in (rows, broken))
+    assert len(before) - len(after) == 3
+    assert any("stopped" in line for line in results.tables(study.Study(tuple(broken))))
+
+
+def test_without_a_reference_at_every_time_nothing_is_chosen():
+    rows = [r for r in rows_of_order_one() if (r.curve, r.immersion) != ("P2", "8w") or r.cells < 9]
+    short = study.Study(tuple(rows))
+    assert len([r for r in rows if r.curve == "P2" and r.immersion == "8w"]) == 1
+    assert study.settings(short) == []
+    with pytest.raises(RuntimeError, match="nothing to choose from"):
+        results.presets_text(short, "the command")
+    assert any("not reached by any" in line for line in results.tables(short))
+
+
+def test_the_files_of_the_study_are_whole_and_its_presets_can_be_read(tmp_path):
+    whole = study.Study(tuple(rows_of_order_one()))
+    paths = results.write_study(whole, tmp_path, "the command")
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(p.name for p in paths)
+    assert repr(read_rows(paths[0])) == repr(list(whole.rows))
+    text = paths[1].read_text()
+    assert "P2: observed order of the peak force in the edge: nan (0w), 2.0 (8w)" in text
+    assert "increment: observed order of the strength ratio 1.0" in text
+    assert paths[2].read_bytes().startswith(b"\x89PNG")
+    presets = read_presets(tensile=paths[3])
+    assert list(presets) == list(NAMES)
+    fine = presets["fine"]
+    assert (fine.element, fine.increment, fine.mesh_size) == ("P2", 0.005, 0.125e-3)
+    # mesh 0.0125 twice (its own and that of the limit) and increment 0.01, two digits of each
+    assert fine.tensile_error.error == pytest.approx(0.035, rel=0.03)
+    assert fine.tensile_error.latest == "8w"
+
+
+def test_every_pull_of_the_study_is_planned_with_its_intact_screw():
+    for long in (False, True):
+        pulls = study.plan_pulls(["Mg-5Gd"], ["8w"], long)
+        assert {p.curve for p in pulls} >= {*study.MESH_CURVES, study.INCREMENT_CURVE}
+        meshes = {(p.element, p.mesh_size) for p in pulls if p.curve in study.MESH_CURVES}
+        for element, size in meshes:
+            times = {p.immersion for p in pulls if (p.curve, p.mesh_size) == (element, size)}
+            assert times == {"0w", "8w"}
+    assert len(study.plan_pulls(["A"], ["8w"], True)) > len(study.plan_pulls(["A"], ["8w"]))
+
+
+def test_a_pull_is_done_in_a_process_of_its_own_and_given_up_in_time(tmp_path):
+    points, cells = box((2, 2, 4), (1e-3, 1e-3, 2e-3))
+    np.savez(tmp_path / "mesh-300-200.npz", points=points, cells=cells)
+    metal = np.ones((4, 4, 4), bool)
+    np.savez(
+        tmp_path / "field--Mg-5Gd-8w.npz", origin=[-5e-4] * 3, spacing=[1e-3] * 3,
+        concentration=np.full(metal.shape, 0.9 * 66082.4), metal=metal, solid=66082.4,
+    )  # fmt: skip
+    pull = Pull("a", "b", "Mg-5Gd", "8w", "P1", 0.3e-3, 0.2e-3, 0.01)
+    heard = []
+    rows = Workshop(tmp_path).pull([pull, replace(pull, increment=0.02)], 1, heard.append)
+    assert [r.increment for r in rows] == [0.01, 0.02] and len(heard) == 2
+    assert all(r.peak_force > 1 and not r.status.startswith("stopped") for r in rows)
+    late = Workshop(tmp_path).pull([replace(pull, increment=1e-5)], 1, heard.append, limit=0.05)
+    assert late[0].status == "stopped: not done within 0 s"
+    write_rows([*rows, late[0]], tmp_path / "rows.csv")
+    assert repr(read_rows(tmp_path / "rows.csv")) == repr([*rows, late[0]])
+
+
+def levels():
+    made = []
+    for factor, order in (("lattice", 1.0), ("time step", 2.0), ("mapping", None)):
+        entries = [("coarse", 0.64, 1.0, "past_peak"), ("fine", 0.60, 4.0, "past_peak")]
+        made += life_cycle.factor_levels(factor, entries, order)
+    made += life_cycle.factor_levels(
+        "mesh and element", [("a", 0.63, 5.0, "past_peak"), ("b", 0.6, 50.0, "past_peak")], None
+    )
+    return made + life_cycle.factor_levels(
+        "increment", [("1 %", 0.606, 5.0, "past_peak"), ("0.5 %", 0.603, 9.0, "past_peak")], 1.0
+    )
+
+
+def test_the_rest_of_a_factor_follows_from_its_order():
+    by = {(e.factor, e.choice): e.error for e in levels()}
+    assert by["lattice", "fine"] == pytest.approx(0.04 / 0.6)
+    assert by["time step", "fine"] == pytest.approx(0.04 / 3 / 0.6)
+    assert by["mapping", "coarse"] == pytest.approx(0.08 / 0.6)
+    assert by["increment", "1 %"] == pytest.approx(0.006 / 0.603)
+
+
+def test_the_cheapest_combination_is_found_among_all():
+    found = life_cycle.combinations(levels())
+    assert len(found) == 2**5
+    wanted = sorted(c.error for c in found)[10]
+    best, reached = life_cycle.cheapest(found, wanted)
+    assert reached and best.seconds == min(c.seconds for c in found if c.error <= wanted)
+    # corrosion 1 s times 4, pull 50 s times 9/5
+    surest, reached = life_cycle.cheapest(found, 1e-6)
+    assert not reached and surest.error == min(c.error for c in found)
+    assert any("not reached" in line for line in life_cycle.tables(levels(), "Mg, 8w"))
