@@ -226,7 +226,11 @@ class BiMaterial:
     # --- implicit stage -------------------------------------------------------------------
 
     def implicit_stage(
-        self, old: np.ndarray, tau: float, guess: np.ndarray, theta: np.ndarray | None,
+        self,
+        old: np.ndarray,
+        tau: float,
+        guess: np.ndarray,
+        theta: np.ndarray | None,
         volume_loss: float,
     ) -> Stage:
         """Solve Y = old + tau F(Y), kinetics and saturation included.
@@ -282,9 +286,7 @@ class BiMaterial:
                 )
                 new_theta = np.where(self.box_liquid_volume > 0, new_theta, 0.0)
                 bonds_on = np.maximum(new_theta, 0.0)
-                mismatch = tau * total(
-                    float((np.abs(bonds_on - theta) * available)[active].sum())
-                )
+                mismatch = tau * total(float((np.abs(bonds_on - theta) * available)[active].sum()))
                 changed = self.processes.any(not np.array_equal(new_active, active))
                 settled &= not changed and mismatch <= 1e-9 * self.metal_scale * max(1e-3, loss)
                 if settled:
@@ -316,7 +318,13 @@ class BiMaterial:
         self._close_balance(result, old, tau * release, active)
         emptied = None if state.emptied is None else self.put(state.emptied) > 0
         return Stage(
-            result, theta, volume_loss, release, total_iterations, rounds, emptied,
+            result,
+            theta,
+            volume_loss,
+            release,
+            total_iterations,
+            rounds,
+            emptied,
             state.late(),
         )
 

@@ -11,9 +11,16 @@ import numpy as np
 SCHEMA_VERSION = 1
 
 _UNITS = {
-    "time": "s", "step": "s", "volume_loss": "1", "metal_amount": "mol", "liquid_amount": "mol",
-    "released_amount": "mol", "balance_error": "1", "saturated_nodes": "1",
-    "dissolved_nodes": "1", "iterations": "1",
+    "time": "s",
+    "step": "s",
+    "volume_loss": "1",
+    "metal_amount": "mol",
+    "liquid_amount": "mol",
+    "released_amount": "mol",
+    "balance_error": "1",
+    "saturated_nodes": "1",
+    "dissolved_nodes": "1",
+    "iterations": "1",
 }
 
 
@@ -60,9 +67,9 @@ def read_corrosion(path: Path) -> dict[str, np.ndarray]:
         if file.attrs.get("schema_version") != SCHEMA_VERSION:
             raise ValueError(f"{path}: not a corrosion result of schema {SCHEMA_VERSION}")
         file.visititems(
-            lambda name, item: out.__setitem__(name, item[()])
-            if isinstance(item, h5py.Dataset)
-            else None
+            lambda name, item: (
+                out.__setitem__(name, item[()]) if isinstance(item, h5py.Dataset) else None
+            )
         )
         out.update(file.attrs)
     return out

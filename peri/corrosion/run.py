@@ -28,8 +28,16 @@ _JUMP = 0.7
 
 
 HISTORY = (
-    "time", "step", "volume_loss", "metal_amount", "liquid_amount", "released_amount",
-    "balance_error", "saturated_nodes", "dissolved_nodes", "iterations",
+    "time",
+    "step",
+    "volume_loss",
+    "metal_amount",
+    "liquid_amount",
+    "released_amount",
+    "balance_error",
+    "saturated_nodes",
+    "dissolved_nodes",
+    "iterations",
 )
 
 
@@ -139,11 +147,13 @@ def corrode(
     end = times[-1]
     while True:
         while len(outputs) < times.size and times[len(outputs)] <= state.time * (1 + 1e-12):
-            outputs.append((
-                processes.gather(problem.sum.crop(state.concentration)),
-                processes.gather(problem.sum.crop(problem.metal)),
-                state.volume_loss,
-            ))
+            outputs.append(
+                (
+                    processes.gather(problem.sum.crop(state.concentration)),
+                    processes.gather(problem.sum.crop(problem.metal)),
+                    state.volume_loss,
+                )
+            )
         processes.on_root(lambda: _report(progress, state, end))
         if len(outputs) == times.size:
             break
@@ -283,9 +293,7 @@ def _try_step(problem: BiMaterial, state: _State, scheme: str, step: float):
         return _first_order(problem, state, step, guess, rate)
     guess = _guess(problem, old, rate, 1.0)
     try:
-        second = problem.implicit_stage(
-            right, GAMMA * step, guess, first.theta, first.volume_loss
-        )
+        second = problem.implicit_stage(right, GAMMA * step, guess, first.theta, first.volume_loss)
         new = second.concentration
         if problem.faradaic and problem.processes.any(second.emptied.any()):
             pass
@@ -372,8 +380,16 @@ def _record(problem, state: _State, step, stages, dissolved) -> None:
         held = (state.theta < 1.0) & (problem.box_free_volume > 0)
         saturated = problem.processes.total(int(held.sum()))
     row = (
-        state.time, step, state.volume_loss, metal, liquid, state.released, error, saturated,
-        dissolved, sum(s.iterations for s in stages) if stages else 0,
+        state.time,
+        step,
+        state.volume_loss,
+        metal,
+        liquid,
+        state.released,
+        error,
+        saturated,
+        dissolved,
+        sum(s.iterations for s in stages) if stages else 0,
     )
     for name, value in zip(HISTORY, row, strict=True):
         history[name].append(value)
@@ -416,8 +432,14 @@ def _restore(problem, path: Path, fingerprint: str, outputs) -> _State:
     problem.metal = field_of("metal") > 0
     problem.update_phase()
     state = _State(
-        now, field_of("concentration"), field_of("previous"), previous_step, step,
-        problem.take(field_of("theta")) if limited else None, loss, released,
+        now,
+        field_of("concentration"),
+        field_of("previous"),
+        previous_step,
+        step,
+        problem.take(field_of("theta")) if limited else None,
+        loss,
+        released,
     )
     for name, values in zip(HISTORY, numbers["history"], strict=True):
         state.history[name] = list(values)

@@ -104,9 +104,7 @@ class CorrosionScene:
             ("dissolution", DISSOLUTION_LAWS),
         ):
             if getattr(self, name) not in allowed:
-                raise ValueError(
-                    f"{name}: {getattr(self, name)!r}; allowed: {', '.join(allowed)}"
-                )
+                raise ValueError(f"{name}: {getattr(self, name)!r}; allowed: {', '.join(allowed)}")
         if self.dissolution == "faradaic" and self.saturation == "as_published":
             raise ValueError(
                 "saturation: 'as_published' with dissolution 'faradaic'; its switch belongs to "

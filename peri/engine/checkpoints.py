@@ -55,9 +55,9 @@ def read_checkpoint(path: Path, mark: str) -> dict[str, np.ndarray]:
                     f"checkpoint: {path} belongs to another scene or other settings"
                 )
             file.visititems(
-                lambda name, item: arrays.__setitem__(name, item[()])
-                if isinstance(item, h5py.Dataset)
-                else None
+                lambda name, item: (
+                    arrays.__setitem__(name, item[()]) if isinstance(item, h5py.Dataset) else None
+                )
             )
     except (OSError, RuntimeError) as error:
         raise CheckpointError(f"checkpoint: {path} cannot be read ({error})") from error

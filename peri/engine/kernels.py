@@ -100,8 +100,9 @@ def _combine_shells(shells, weights, count, target):
 
 
 @njit(cache=True, fastmath=_CONTRACT)
-def _convolve_tile(u, out, i, j0, j1, low, high, reach, source_a, source_b, shell_start, weights,
-                   shells_used):
+def _convolve_tile(
+    u, out, i, j0, j1, low, high, reach, source_a, source_b, shell_start, weights, shells_used
+):
     """The stencil sum of the rows j0 <= j < j1 of plane i; see `convolve`."""
     ra, rb, rc = reach
     k0, k1 = high[i, j0], low[i, j0]
@@ -154,8 +155,9 @@ def _convolve_tile(u, out, i, j0, j1, low, high, reach, source_a, source_b, shel
 
 
 @_by_size
-def convolve(u, out, tiles, low, high, reach, source_a, source_b, shell_start, weights,
-             shells_used):
+def convolve(
+    u, out, tiles, low, high, reach, source_a, source_b, shell_start, weights, shells_used
+):
     """out_i = sum_j w_ij u_j over the rows' ranges [low, high) of the interior.
 
     Factorised for kernels even in every axis: planes i-a and i+a are added first, rows whose
@@ -166,8 +168,21 @@ def convolve(u, out, tiles, low, high, reach, source_a, source_b, shell_start, w
     shells (sorted by length) matter at distance c.
     """
     for t in prange(tiles.shape[0]):
-        _convolve_tile(u, out, tiles[t, 0], tiles[t, 1], tiles[t, 2], low, high, reach, source_a,
-                       source_b, shell_start, weights, shells_used)
+        _convolve_tile(
+            u,
+            out,
+            tiles[t, 0],
+            tiles[t, 1],
+            tiles[t, 2],
+            low,
+            high,
+            reach,
+            source_a,
+            source_b,
+            shell_start,
+            weights,
+            shells_used,
+        )
 
 
 # --- Vector operations over the rows' ranges of padded fields -------------------------------

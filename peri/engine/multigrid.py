@@ -139,7 +139,11 @@ class _Level:
             self.x[:] = 0.0
         for n in range(1, _SMOOTHING_STEPS + 1):
             kernels.local_step(
-                self.x, self.b, *self.t, self.inverse, self.d,
+                self.x,
+                self.b,
+                *self.t,
+                self.inverse,
+                self.d,
                 (2 * n - 3) / (2 * n + 1) if n > 1 else 0.0,
                 (8 * n - 4) / (2 * n + 1) / 2.0,
             )

@@ -61,12 +61,8 @@ class NonlocalSum:
         octant = stencil.octant[tuple(map(slice, processes.extent(self.lattice_shape)))]
         self.octant = octant.reshape(lead + octant.shape)
         self.reach = tuple(n - 1 for n in self.octant.shape)
-        self.padded_shape = tuple(
-            n + 2 * r for n, r in zip(self.shape, self.reach, strict=True)
-        )
-        self.interior = tuple(
-            slice(r, r + n) for n, r in zip(self.shape, self.reach, strict=True)
-        )
+        self.padded_shape = tuple(n + 2 * r for n, r in zip(self.shape, self.reach, strict=True))
+        self.interior = tuple(slice(r, r + n) for n, r in zip(self.shape, self.reach, strict=True))
         active = np.ones(self.shape, bool) if wanted is None else wanted.reshape(self.shape)
         self.low, self.high = _row_ranges(active)
         self._tiles = _tiles(self.low, self.high)
@@ -95,15 +91,12 @@ class NonlocalSum:
             full = fft.irfftn(spectrum, s=self._fft_shape, workers=-1)
             out[self.interior] = full[tuple(slice(0, n) for n in self.shape)]
         else:
-            kernels.convolve(
-                u, out, self._tiles, self.low, self.high, self.reach, *self._shells
-            )
+            kernels.convolve(u, out, self._tiles, self.low, self.high, self.reach, *self._shells)
         return out
 
     def _fft_symbol(self) -> np.ndarray:
         self._fft_shape = tuple(
-            fft.next_fast_len(n + r, real=True)
-            for n, r in zip(self.shape, self.reach, strict=True)
+            fft.next_fast_len(n + r, real=True) for n, r in zip(self.shape, self.reach, strict=True)
         )
         wrapped = np.zeros(self._fft_shape)
         signed = [np.arange(-r, r + 1) for r in self.reach]

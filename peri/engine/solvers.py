@@ -92,7 +92,12 @@ class DiffusionSystem:
         self.multigrid.restrict(r, self.sum.reach)
         coarse = self.multigrid.cycle()
         product = kernels.add_diagonal_and_coarse(
-            r, self.inverse, coarse, tuple(int(f) for f in self.multigrid.factors), self.mask, z,
+            r,
+            self.inverse,
+            coarse,
+            tuple(int(f) for f in self.multigrid.factors),
+            self.mask,
+            z,
             *self._rows,
         ).sum()
         return self.processes.total(product)
@@ -121,9 +126,11 @@ class DiffusionSystem:
                 z, p, self.weight, q, rho / rho_old if iterations else 0.0, *self._rows
             )
             curvature = self.apply(p, y, q)
-            norm = float(np.sqrt(total(kernels.advance_solution(
-                x, r, p, y, rho / curvature, *self._rows
-            ).sum())))
+            norm = float(
+                np.sqrt(
+                    total(kernels.advance_solution(x, r, p, y, rho / curvature, *self._rows).sum())
+                )
+            )
             rho_old = rho
             iterations += 1
         return iterations

@@ -75,9 +75,9 @@ def liquid_bound(scene: CorrosionScene, problem: BiMaterial | None = None) -> np
         return unbounded
     seen = problem.box(problem.box_metal_volume)
     inflow = np.zeros(problem.sum.padded_shape)
-    inflow[problem.window] = (
-        problem.box_free_volume * rate * scene.solid_concentration * seen
-    )[problem.box.interior]
+    inflow[problem.window] = (problem.box_free_volume * rate * scene.solid_concentration * seen)[
+        problem.box.interior
+    ]
     weight = np.where(problem.free, problem.capacity, 0.0)
     diagonal = scene.liquid_diffusivity * problem.neighbour_liquid
     fixed_share = problem.sum(np.where(problem.fixed, problem.capacity, 0.0))

@@ -212,7 +212,9 @@ class _Level:
 
     def mult(self, matrix, x, y) -> None:  # noqa: D102 (PETSc's interface)
         kernels.local_product(
-            self.grid.update(x), *self.conductances, self.diagonal,
+            self.grid.update(x),
+            *self.conductances,
+            self.diagonal,
             y.array.reshape(self.grid.own.shape),
         )
 

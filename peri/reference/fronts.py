@@ -23,9 +23,7 @@ def directional_strength(stencil: Stencil, normal) -> float:
     normal = np.asarray(normal, float)
     normal = normal / np.linalg.norm(normal)
     dense = stencil.dense()
-    axes = [
-        h * np.arange(-r, r + 1) for h, r in zip(stencil.spacing, stencil.reach, strict=True)
-    ]
+    axes = [h * np.arange(-r, r + 1) for h, r in zip(stencil.spacing, stencil.reach, strict=True)]
     along = sum(
         x.reshape([-1 if a == b else 1 for b in range(len(axes))]) * n
         for a, (x, n) in enumerate(zip(axes, normal, strict=True))
@@ -108,7 +106,7 @@ def front_speed_ratio(stencil: Stencil, concentration_ratio: float, layers: int 
     need = np.full(layers + reach, math.log(concentration_ratio))
     front, time, mark = 0, 0.0, 0.0
     while front < layers:
-        rate = tail[: reach]
+        rate = tail[:reach]
         left = need[front : front + reach]
         step = np.min(left / rate)
         need[front : front + reach] = left - rate * step

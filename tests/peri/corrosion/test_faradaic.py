@@ -100,9 +100,7 @@ def tilted_front(ratio, angle, dimension, nodes, travel=8):
     ("dimension", "ratio", "nodes", "angle"),
     [(2, 4, 60, 0), (2, 4, 60, 30), (2, 4, 60, 45), (2, 8, 80, 30), (3, 2, 28, 30), (3, 2, 28, 45)],
 )
-def test_tilted_fronts_travel_with_the_strength_of_their_direction(
-    dimension, ratio, nodes, angle
-):
+def test_tilted_fronts_travel_with_the_strength_of_their_direction(dimension, ratio, nodes, angle):
     """Speed over i/(zF C_solid) against S(n) / mean S, from the middle of the lattice."""
     scene, normal, tube, along = tilted_front(ratio, angle, dimension, nodes)
     result = corrode(scene, [2 * LAYER, 8 * LAYER])
@@ -143,18 +141,14 @@ def test_conservation_and_bounds(dimension, saturation, boundary, saturated, liq
 
 
 def test_conservation_and_bounds_in_3d():
-    scene = pin(
-        3, 8, dissolution="faradaic", interface_diffusivity=1e-13, kinetics=ConstantRate()
-    )
+    scene = pin(3, 8, dissolution="faradaic", interface_diffusivity=1e-13, kinetics=ConstantRate())
     result = corrode(scene, [WEEK, 4 * WEEK])
     check_invariants(scene, result)
     assert result.history["dissolved_nodes"].sum() > 0
 
 
 def test_complete_dissolution():
-    scene = pin(
-        2, 10, dissolution="faradaic", interface_diffusivity=1e-12, kinetics=ConstantRate()
-    )
+    scene = pin(2, 10, dissolution="faradaic", interface_diffusivity=1e-12, kinetics=ConstantRate())
     result = corrode(scene, [52 * WEEK])
     check_invariants(scene, result)
     assert result.volume_loss[-1] == 1.0 and not result.metal[-1].any()

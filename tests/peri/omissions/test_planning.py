@@ -145,10 +145,9 @@ def test_metal_at_risk_is_measured_from_the_nearest_liquid():
     bare = everywhere.domain & (everywhere.metal | (everywhere.lattice.coordinates()[0] > 0.27e-3))
     for scene in (everywhere, dataclasses.replace(everywhere, domain=bare)):
         liquid = np.argwhere(scene.domain & ~scene.metal)
-        distance = np.array([
-            np.sqrt(((liquid - node) ** 2).sum(axis=1).min())
-            for node in np.argwhere(scene.metal)
-        ])
+        distance = np.array(
+            [np.sqrt(((liquid - node) ** 2).sum(axis=1).min()) for node in np.argwhere(scene.metal)]
+        )
         distance *= scene.lattice.spacing[0]
         risk = metal_at_risk(scene, WEEK)[scene.metal]
         depth = np.sqrt(2) * front_depth(scene, WEEK)
