@@ -1,5 +1,5 @@
 # make help says what each target does.
-.PHONY: help setup run test clean
+.PHONY: help setup run test lint coverage clean
 
 # MPI ranks share the cores, so each keeps to one thread; no screen is needed to draw.
 export OMP_NUM_THREADS ?= 1
@@ -22,6 +22,15 @@ run: setup ## the screw of both alloys, 0 to 24 weeks, quick resolution: runs/sc
 test: setup ## every test that is not marked slow
 	.venv/bin/python -m pytest -q
 
+lint: setup ## style and types: ruff (check and format) and mypy
+	.venv/bin/ruff check .
+	.venv/bin/ruff format --check .
+	.venv/bin/mypy
+
+coverage: setup ## the tests with the share of lines that they run, by file: coverage.txt
+	.venv/bin/python -m pytest -q --cov=peri --cov=fem --cov=pipeline --cov=data \
+		--cov-report=term:skip-covered | tee coverage.txt
+
 clean: ## remove .venv, runs/screw and caches
-	rm -rf .venv $(RUN_FOLDER) build dist ./*.egg-info .pytest_cache .ruff_cache .hypothesis
+	rm -rf .venv $(RUN_FOLDER) build dist ./*.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis .coverage coverage.txt
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

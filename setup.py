@@ -14,6 +14,7 @@ setup(
     package_dir={"perilife_data": "data"},
     package_data={
         "perilife_data": ["*.toml", "*.bib", "*/*.toml", "*/*.csv"],
+        "peri": ["py.typed"],
         "pipeline.report": ["templates/*"],
         "pipeline.scene": ["*.toml"],
     },

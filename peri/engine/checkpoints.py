@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Iterable
 from pathlib import Path
 
 import h5py
@@ -16,7 +17,9 @@ class CheckpointError(ValueError):
     """A checkpoint that is of another march, or cannot be read."""
 
 
-def fingerprint(scene, times, stepping, solver_tolerance) -> str:
+def fingerprint(
+    scene: object, times: Iterable[float], stepping: object, solver_tolerance: float
+) -> str:
     """Hash of everything that determines a march."""
     digest = hashlib.sha256()
     for name, value in sorted(vars(scene).items()):

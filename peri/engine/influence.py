@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from peri.engine.lattice import Lattice, family
+from peri.engine.lattice import Family, Lattice, family
 
 INFLUENCE_FUNCTIONS = {
     "constant": lambda ratio: np.ones_like(ratio),
@@ -17,7 +18,12 @@ INFLUENCE_FUNCTIONS = {
 CALIBRATIONS = ("discrete", "closed")
 
 
-def closed_constant(dimension: int, horizon, kernel_exponent: float, influence: str):
+def closed_constant(
+    dimension: int,
+    horizon: float | np.ndarray,
+    kernel_exponent: float,
+    influence: str,
+) -> float | np.ndarray:
     """The constant K that matches the second moment of the continuous kernel.
 
     K = 2 / int omega xi_x^2 / |xi|^(d + 2q) dV over the ball of radius `horizon` (m): in 3D with
@@ -122,7 +128,7 @@ class Stencil:
 
 def diffusion_stencil(
     lattice: Lattice,
-    horizon,
+    horizon: float | Sequence[float],
     kernel_exponent: float = 0.0,
     influence: str = "constant",
     calibration: str = "discrete",
@@ -179,7 +185,7 @@ def diffusion_stencil(
     return Stencil(octant, lattice.spacing)
 
 
-def _moment_correction(bonds, weight: np.ndarray) -> np.ndarray:
+def _moment_correction(bonds: Family, weight: np.ndarray) -> np.ndarray:
     """Factors sum_a s_a n_a^2 (n: bond direction) that give every axis the second moment 2."""
     squared = bonds.bond**2
     direction_squared = squared / bonds.bond_length[:, None] ** 2

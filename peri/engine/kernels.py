@@ -5,17 +5,24 @@ on every side; the ghosts hold zero.  One- and two-dimensional lattices use the 
 axes.  The callers validate; nothing here does.
 """
 
+from __future__ import annotations
+
 import functools
 import types
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numba import njit, prange
+
+Array = np.ndarray
+Triple = tuple[int, ...]
 
 # Below this many elements the threads' start costs more than they save.
 _THREADED_FROM = 150_000
 
 
-def _by_size(function=None, *, fastmath=False):
+def _by_size(function: Callable | None = None, *, fastmath: bool | set[str] = False) -> Callable:
     """Compile a loop twice, serial and threaded, and choose by the size of its first array."""
     if function is None:
         return lambda f: _by_size(f, fastmath=fastmath)
@@ -23,13 +30,13 @@ def _by_size(function=None, *, fastmath=False):
     threaded = njit(cache=True, parallel=True, fastmath=fastmath)(function)
 
     @functools.wraps(function)
-    def choose(first, *rest):
+    def choose(first: Array, *rest: Any) -> Any:
         return (threaded if first.size >= _THREADED_FROM else serial)(first, *rest)
 
     return choose
 
 
-def _named(function, suffix):
+def _named(function: Callable, suffix: str) -> types.FunctionType:
     """A copy under a name of its own: Numba's cache tells functions apart by name and line only."""
     copy = types.FunctionType(function.__code__, function.__globals__, function.__name__)
     copy.__module__ = function.__module__
@@ -42,7 +49,7 @@ _CONTRACT = {"contract"}
 
 
 @njit(cache=True, fastmath=_CONTRACT)
-def _sum_rows(source, rows, first, last, target):
+def _sum_rows(source: Array, rows: Array, first: int, last: int, target: Array) -> None:
     """target[:] = sum of source[rows[first:last]], four rows a sweep."""
     n = target.size
     r = first
@@ -69,7 +76,7 @@ def _sum_rows(source, rows, first, last, target):
 
 
 @njit(cache=True, fastmath=_CONTRACT)
-def _combine_shells(shells, weights, count, target):
+def _combine_shells(shells: Array, weights: Array, count: int, target: Array) -> None:
     """target[:] = sum over shells s < count of weights[s] * shells[s], four shells a sweep."""
     n = target.size
     s = 0
@@ -101,8 +108,20 @@ def _combine_shells(shells, weights, count, target):
 
 @njit(cache=True, fastmath=_CONTRACT)
 def _convolve_tile(
-    u, out, i, j0, j1, low, high, reach, source_a, source_b, shell_start, weights, shells_used
-):
+    u: Array,
+    out: Array,
+    i: int,
+    j0: int,
+    j1: int,
+    low: Array,
+    high: Array,
+    reach: Triple,
+    source_a: Array,
+    source_b: Array,
+    shell_start: Array,
+    weights: Array,
+    shells_used: Array,
+) -> None:
     """The stencil sum of the rows j0 <= j < j1 of plane i; see `convolve`."""
     ra, rb, rc = reach
     k0, k1 = high[i, j0], low[i, j0]
@@ -156,8 +175,18 @@ def _convolve_tile(
 
 @_by_size
 def convolve(
-    u, out, tiles, low, high, reach, source_a, source_b, shell_start, weights, shells_used
-):
+    u: Array,
+    out: Array,
+    tiles: Array,
+    low: Array,
+    high: Array,
+    reach: Triple,
+    source_a: Array,
+    source_b: Array,
+    shell_start: Array,
+    weights: Array,
+    shells_used: Array,
+) -> None:
     """out_i = sum_j w_ij u_j over the rows' ranges [low, high) of the interior.
 
     Factorised for kernels even in every axis: planes i-a and i+a are added first, rows whose
@@ -189,7 +218,7 @@ def convolve(
 
 
 @_by_size(fastmath=_CONTRACT)
-def inner_product(a, b):
+def inner_product(a: Array, b: Array) -> Array:
     """sum a b per plane (not by BLAS, whose own threads would compete with these)."""
     partial = np.zeros(a.shape[0])
     for i in prange(a.shape[0]):
@@ -203,7 +232,9 @@ def inner_product(a, b):
 
 
 @_by_size(fastmath=_CONTRACT)
-def next_direction(z, p, weight, q, beta, low, high, reach):
+def next_direction(
+    z: Array, p: Array, weight: Array, q: Array, beta: float, low: Array, high: Array, reach: Triple
+) -> None:
     """p = z + beta p;  q = weight p."""
     ra, rb, rc = reach
     for i in prange(low.shape[0]):
@@ -218,7 +249,16 @@ def next_direction(z, p, weight, q, beta, low, high, reach):
 
 
 @_by_size(fastmath=_CONTRACT)
-def diffusion_rows(u, y, weight, diagonal, diffusivity, low, high, reach):
+def diffusion_rows(
+    u: Array,
+    y: Array,
+    weight: Array,
+    diagonal: Array,
+    diffusivity: float,
+    low: Array,
+    high: Array,
+    reach: Triple,
+) -> Array:
     """y = weight (diagonal u - diffusivity y); returns u . y per plane."""
     ra, rb, rc = reach
     partial = np.zeros(low.shape[0])
@@ -237,7 +277,18 @@ def diffusion_rows(u, y, weight, diagonal, diffusivity, low, high, reach):
 
 
 @_by_size(fastmath=_CONTRACT)
-def stage_residual(y, old, gain, weight, diagonal, diffusivity, tau, low, high, reach):
+def stage_residual(
+    y: Array,
+    old: Array,
+    gain: Array,
+    weight: Array,
+    diagonal: Array,
+    diffusivity: float,
+    tau: float,
+    low: Array,
+    high: Array,
+    reach: Triple,
+) -> Array:
     """gain = weight (old / tau - diagonal y + diffusivity gain);  (weight old)^2 per plane."""
     ra, rb, rc = reach
     partial = np.zeros(low.shape[0])
@@ -256,7 +307,9 @@ def stage_residual(y, old, gain, weight, diagonal, diffusivity, tau, low, high, 
 
 
 @_by_size(fastmath=_CONTRACT)
-def advance_solution(x, r, p, y, alpha, low, high, reach):
+def advance_solution(
+    x: Array, r: Array, p: Array, y: Array, alpha: float, low: Array, high: Array, reach: Triple
+) -> Array:
     """x += alpha p;  r -= alpha y;  returns r . r per plane."""
     ra, rb, rc = reach
     partial = np.zeros(low.shape[0])
@@ -276,7 +329,17 @@ def advance_solution(x, r, p, y, alpha, low, high, reach):
 
 
 @_by_size(fastmath=_CONTRACT)
-def add_diagonal_and_coarse(r, inverse, coarse, factors, mask, z, low, high, reach):
+def add_diagonal_and_coarse(
+    r: Array,
+    inverse: Array,
+    coarse: Array,
+    factors: Triple,
+    mask: Array,
+    z: Array,
+    low: Array,
+    high: Array,
+    reach: Triple,
+) -> Array:
     """z = mask (inverse r + coarse correction of the cell's aggregate);  returns r . z per plane.
 
     factors: cells of the fine lattice per coarse cell along each axis; coarse has one ghost.
@@ -302,7 +365,7 @@ def add_diagonal_and_coarse(r, inverse, coarse, factors, mask, z, low, high, rea
 
 
 @_by_size
-def aggregate(fine, margin, factors, coarse):
+def aggregate(fine: Array, margin: Triple, factors: Triple, coarse: Array) -> None:
     """coarse cell = sum of its factors[0] x factors[1] x factors[2] fine cells."""
     ma, mb, mc = margin
     fa, fb, fc = factors
@@ -319,7 +382,7 @@ def aggregate(fine, margin, factors, coarse):
 
 
 @_by_size
-def prolong_add(coarse, factors, margin, fine):
+def prolong_add(coarse: Array, factors: Triple, margin: Triple, fine: Array) -> None:
     """fine += the value of the coarse cell that each cell belongs to."""
     ma, mb, mc = margin
     fa, fb, fc = factors
@@ -331,7 +394,17 @@ def prolong_add(coarse, factors, margin, fine):
 
 
 @_by_size(fastmath=_CONTRACT)
-def local_step(x, b, ta, tb, tc, inverse, d, previous, scale):
+def local_step(
+    x: Array,
+    b: Array,
+    ta: Array,
+    tb: Array,
+    tc: Array,
+    inverse: Array,
+    d: Array,
+    previous: float,
+    scale: float,
+) -> None:
     """d = previous d + scale inverse (b - A x), A the seven-point operator of conductances t.
 
     t*[i]: conductance between a cell and its successor along the axis; inverse: 1 / diagonal of
@@ -356,7 +429,9 @@ def local_step(x, b, ta, tb, tc, inverse, d, previous, scale):
 
 
 @_by_size(fastmath=_CONTRACT)
-def local_residual(x, b, ta, tb, tc, diagonal, r):
+def local_residual(
+    x: Array, b: Array, ta: Array, tb: Array, tc: Array, diagonal: Array, r: Array
+) -> None:
     """r = b - A x for the seven-point operator."""
     for i in prange(1, x.shape[0] - 1):
         for j in range(1, x.shape[1] - 1):
@@ -377,7 +452,7 @@ def local_residual(x, b, ta, tb, tc, diagonal, r):
 
 
 @_by_size(fastmath=_CONTRACT)
-def local_product(x, ta, tb, tc, diagonal, y):
+def local_product(x: Array, ta: Array, tb: Array, tc: Array, diagonal: Array, y: Array) -> None:
     """y = A x for the seven-point operator; y has no ghosts."""
     for i in prange(1, x.shape[0] - 1):
         for j in range(1, x.shape[1] - 1):
@@ -398,7 +473,7 @@ def local_product(x, ta, tb, tc, diagonal, y):
 
 
 @_by_size
-def add_to(x, d):
+def add_to(x: Array, d: Array) -> None:
     """x += d."""
     for i in prange(x.shape[0]):
         for j in range(x.shape[1]):

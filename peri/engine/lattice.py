@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,7 +71,9 @@ class Lattice:
         return list(np.meshgrid(*map(self.axis, range(self.dimension)), indexing="ij", sparse=True))
 
 
-def box_lattice(lower, upper, spacing) -> Lattice:
+def box_lattice(
+    lower: Sequence[float], upper: Sequence[float], spacing: float | Sequence[float]
+) -> Lattice:
     """The lattice whose cells cover the box [lower, upper], symmetrically about its middle.
 
     A box that is a whole number of cells wide is covered exactly, so that plane faces on its
@@ -83,24 +86,26 @@ def box_lattice(lower, upper, spacing) -> Lattice:
     spacing : float or sequence of float
         Node distance, m.
     """
-    lower, upper = np.atleast_1d(np.asarray(lower, float)), np.atleast_1d(np.asarray(upper, float))
-    spacing = np.broadcast_to(np.asarray(spacing, float), lower.shape)
-    if not np.all(spacing > 0):
-        raise ValueError(f"spacing: {spacing.tolist()} m; every entry must be positive")
-    if not np.all(upper > lower):
-        raise ValueError(f"upper: {upper.tolist()} m must exceed lower {lower.tolist()} m")
-    count = np.maximum(1, np.ceil((upper - lower) / spacing - 1e-9).astype(int))
-    origin = 0.5 * (lower + upper) - 0.5 * (count - 1) * spacing
-    return Lattice(tuple(origin), tuple(spacing), tuple(count))
+    low, high = np.atleast_1d(np.asarray(lower, float)), np.atleast_1d(np.asarray(upper, float))
+    step = np.broadcast_to(np.asarray(spacing, float), low.shape)
+    if not np.all(step > 0):
+        raise ValueError(f"spacing: {step.tolist()} m; every entry must be positive")
+    if not np.all(high > low):
+        raise ValueError(f"upper: {high.tolist()} m must exceed lower {low.tolist()} m")
+    count = np.maximum(1, np.ceil((high - low) / step - 1e-9).astype(int))
+    origin = 0.5 * (low + high) - 0.5 * (count - 1) * step
+    return Lattice(tuple(origin), tuple(step), tuple(count))
 
 
-def ball(lattice: Lattice, centre, radius: float) -> np.ndarray:
+def ball(lattice: Lattice, centre: Sequence[float], radius: float) -> np.ndarray:
     """Nodes within `radius` (m) of `centre` (m); bool of the lattice's shape."""
     squared = sum((x - c) ** 2 for x, c in zip(lattice.coordinates(), centre, strict=True))
     return np.ascontiguousarray(np.broadcast_to(squared <= radius**2 * (1 + 1e-12), lattice.shape))
 
 
-def cylinder(lattice: Lattice, centre, radius: float, height: float, axis: int = 2) -> np.ndarray:
+def cylinder(
+    lattice: Lattice, centre: Sequence[float], radius: float, height: float, axis: int = 2
+) -> np.ndarray:
     """Nodes in the cylinder about `centre` (m) with `radius` and `height` (m) along `axis`."""
     coordinates = lattice.coordinates()
     squared = sum(
@@ -129,7 +134,7 @@ class Family:
     multiplicity: np.ndarray
 
 
-def family(lattice: Lattice, horizon) -> Family:
+def family(lattice: Lattice, horizon: float | Sequence[float]) -> Family:
     """The family of a node: bonds shorter than the horizon plus half a cell.
 
     The horizon is a sphere (one number) or an ellipsoid (one semi-axis per lattice axis), the

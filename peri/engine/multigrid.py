@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 
 from peri.engine import kernels
@@ -33,7 +35,14 @@ class LocalMultigrid:
         level.
     """
 
-    def __init__(self, capacity, sink, conductance, spacing, coarsest_start=0.0) -> None:
+    def __init__(
+        self,
+        capacity: np.ndarray,
+        sink: np.ndarray,
+        conductance: Sequence[float],
+        spacing: Sequence[float],
+        coarsest_start: float | np.ndarray = 0.0,
+    ) -> None:
         t = []
         for a in range(3):
             face = np.zeros_like(capacity)
@@ -54,7 +63,7 @@ class LocalMultigrid:
             self.levels.append(_Level(sink, t))
         self.levels[-1].factorise()
 
-    def restrict(self, residual: np.ndarray, reach) -> np.ndarray:
+    def restrict(self, residual: np.ndarray, reach: tuple[int, ...]) -> np.ndarray:
         """Sum a padded fine-lattice residual into the right side of the first level."""
         level = self.levels[0]
         kernels.aggregate(residual, reach, tuple(int(f) for f in self.factors), level.b)
@@ -76,28 +85,32 @@ class LocalMultigrid:
         return level.x
 
 
-def coarsening_plan(shape, spacing, coarsest_start):
+def coarsening_plan(
+    shape: Sequence[int], spacing: Sequence[float], coarsest_start: float | np.ndarray
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Which axes to aggregate by two, step by step: before the first level, between the levels.
 
     Each step is a bool array (3,).  Between the levels only axes with (nearly) the smallest
     spacing take part, so that couplings become equal.
     """
-    shape, spacing = np.array(shape), np.array(spacing, float)
+    n, h = np.array(shape), np.array(spacing, float)
     before, between = [], []
-    while (grow := (2 * spacing <= coarsest_start) & (shape > 2)).any():
+    while (grow := (2 * h <= coarsest_start) & (n > 2)).any():
         before.append(grow)
-        shape, spacing = np.where(grow, -(-shape // 2), shape), np.where(grow, 2, 1) * spacing
-    while shape.prod() > _COARSEST_CELLS and (shape > 2).any():
-        grow = (shape > 2) & (spacing < 1.5 * spacing[shape > 2].min())
+        n, h = np.where(grow, -(-n // 2), n), np.where(grow, 2, 1) * h
+    while n.prod() > _COARSEST_CELLS and (n > 2).any():
+        grow = (n > 2) & (h < 1.5 * h[n > 2].min())
         between.append(grow)
-        shape, spacing = np.where(grow, -(-shape // 2), shape), np.where(grow, 2, 1) * spacing
+        n, h = np.where(grow, -(-n // 2), n), np.where(grow, 2, 1) * h
     return before, between
 
 
-def _coarsen(sink, t, grow):
+def _coarsen(
+    sink: np.ndarray, t: list[np.ndarray], grow: np.ndarray
+) -> tuple[np.ndarray, list[np.ndarray]]:
     """Aggregate cells by two along the axes marked in `grow`."""
 
-    def pairs(values, a, combine):
+    def pairs(values: np.ndarray, a: int, combine: Callable) -> np.ndarray:
         if values.shape[a] % 2:
             width = [(0, 0)] * 3
             width[a] = (0, 1)
@@ -118,7 +131,7 @@ def _coarsen(sink, t, grow):
 class _Level:
     """Operator and work arrays of one level."""
 
-    def __init__(self, sink, t) -> None:
+    def __init__(self, sink: np.ndarray, t: list[np.ndarray]) -> None:
         shape = tuple(n + 2 for n in sink.shape)
         inner = (slice(1, -1),) * 3
         self.t = []

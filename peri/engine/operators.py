@@ -124,7 +124,7 @@ def _tiles(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     return np.array(tiles, np.int64).reshape(-1, 3)
 
 
-def _shells(octant: np.ndarray):
+def _shells(octant: np.ndarray) -> tuple[np.ndarray, ...]:
     """Rows of the stencil grouped by equal weight columns, in the form the kernel takes."""
     groups: dict[bytes, list[tuple[int, int]]] = {}
     scale = octant.max()

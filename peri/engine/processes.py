@@ -11,8 +11,11 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from typing import TypeVar
 
 import numpy as np
+
+T = TypeVar("T")
 
 _IMBALANCE = 0.1
 """A cut may lie this share of a block's width off its best place to suit the coarse levels."""
@@ -56,11 +59,11 @@ class OneProcess:
         """Whether the flag holds on any process."""
         return bool(flag)
 
-    def from_root(self, value):
+    def from_root(self, value: T) -> T:
         """The root's value (any Python object)."""
         return value
 
-    def on_root(self, action: Callable[[], object]):
+    def on_root(self, action: Callable[[], T]) -> T:
         """The result of an action that the root takes; what it raises is raised everywhere."""
         return action()
 
@@ -103,23 +106,23 @@ def share_out(work: list[np.ndarray], width: int, ranks: int) -> list[list[int]]
         If there is no such cut.
     """
     shape = tuple(w.size for w in work)
-    best, least = None, None
+    candidates = []
     for parts in itertools.product(range(1, ranks + 1), repeat=len(shape)):
         if np.prod(parts) != ranks:
             continue
-        edges = [_cut(w, p, width) for w, p in zip(work, parts, strict=True)]
-        if any(e is None for e in edges):
+        cuts = [_cut(w, p, width) for w, p in zip(work, parts, strict=True)]
+        edges = [cut for cut in cuts if cut is not None]
+        if len(edges) < len(cuts):
             continue
         # Nodes next to a cut; of equals, the one that keeps the rows long.
         surface = sum((p - 1) * np.prod(shape) / n for p, n in zip(parts, shape, strict=True))
-        if best is None or (surface, parts[::-1]) < least:
-            best, least = edges, (surface, parts[::-1])
-    if best is None:
+        candidates.append((float(surface), parts[::-1], edges))
+    if not candidates:
         raise ValueError(
             f"ranks: {ranks} for a lattice of {' x '.join(map(str, shape))} nodes; every rank's "
             f"block must be at least as wide as the stencil reaches, {width} nodes, so use fewer"
         )
-    return best
+    return min(candidates)[2]
 
 
 def _cut(work: np.ndarray, parts: int, width: int) -> list[int] | None:

@@ -74,7 +74,7 @@ class DiffusionSystem:
         self._work = [np.zeros(bond_sum.padded_shape) for _ in range(4)]
 
     @property
-    def _rows(self):
+    def _rows(self) -> tuple[np.ndarray, np.ndarray, tuple[int, ...]]:
         return self.sum.low, self.sum.high, self.sum.reach
 
     def apply(self, u: np.ndarray, y: np.ndarray, q: np.ndarray) -> float:

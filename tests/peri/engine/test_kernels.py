@@ -25,7 +25,7 @@ def test_both_versions_add_the_same():
 def test_the_cache_keeps_both_versions_apart(tmp_path):
     """One file for both would serve whichever was compiled first, whatever the size."""
     code = (
-        "import numpy as np; from peri import kernels\n"
+        "import numpy as np; from peri.engine import kernels\n"
         "for n in (8, 60):\n"
         "    kernels.add_to(np.zeros((n,) * 3), np.ones((n,) * 3))\n"
     )
