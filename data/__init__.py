@@ -16,6 +16,7 @@ from .load import (
     load_medium,
     load_parameter_set,
 )
+from .reactions import ReactionSet, list_reaction_sets, load_reaction_set
 from .references import Reference, load_reference
 from .schema import KINDS, Alloy, CorrosionParameters, Medium, ParameterSet, Quantity
 from .volume_loss import VolumeLossData, read_volume_loss_csv
@@ -27,14 +28,17 @@ __all__ = [
     "Medium",
     "ParameterSet",
     "Quantity",
+    "ReactionSet",
     "Reference",
     "VolumeLossData",
     "list_alloys",
     "list_media",
     "list_parameter_sets",
+    "list_reaction_sets",
     "load_alloy",
     "load_medium",
     "load_parameter_set",
+    "load_reaction_set",
     "load_reference",
     "read_volume_loss_csv",
 ]

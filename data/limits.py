@@ -58,6 +58,13 @@ SPECIES = {
     "total_concentration": Limits("concentration", 0.0, 1e4),
 }
 
+SPECIES_DIFFUSIVITY = _above_zero("diffusivity", 1e-6)
+LOG_K = Limits("dimensionless", -300, 300)
+MOLAR_VOLUME = _above_zero("molar volume", 1e-2)
+RATE_CONSTANT = _above_zero("surface reaction rate", 1e3)
+SPECIFIC_SURFACE = _above_zero("specific surface", 1e9)
+NUCLEATION_INDEX = Limits("dimensionless", 0, 100)
+
 MEDIUM = {"temperature": TEMPERATURE}
 MEDIUM_OPTIONAL = {
     "carbon_dioxide": Limits("dimensionless", 0.0, 1.0),

@@ -33,7 +33,7 @@ BOUNDARIES = ("refreshed", "no_flux")
 DOMAINS = ("cylinder",)
 
 
-class _Table:
+class Table:
     """One TOML table: hands out its entries by name, checked, and refuses what is left over."""
 
     def __init__(self, name: str, entries: object, file: str, sources: Mapping[str, Reference]):
@@ -65,6 +65,25 @@ class _Table:
             raise self.fail(key, f"is '{value}'; it must be one of {', '.join(allowed)}")
         return value
 
+    def texts(self, key: str) -> list[str]:
+        """Return a list of different strings, one at least."""
+        values = self._take(key)
+        good = isinstance(values, list) and all(isinstance(v, str) and v.strip() for v in values)
+        if not good or not values or len(set(values)) < len(values):
+            raise self.fail(key, f"is {values!r}; it must be a list of different names")
+        return values
+
+    def integer(self, key: str, lowest: int, highest: int, default: int | None = None) -> int:
+        """Return a whole number within a range."""
+        if default is not None and key not in self.entries:
+            return default
+        value = self._take(key)
+        if isinstance(value, bool) or not isinstance(value, int) or not lowest <= value <= highest:
+            raise self.fail(
+                key, f"is {value!r}; it must be a whole number from {lowest} to {highest}"
+            )
+        return value
+
     def source(self, key: str) -> str:
         """Return a key of the bibliography."""
         source = self.text(key)
@@ -76,11 +95,11 @@ class _Table:
         """Return a key of the bibliography, or an empty text where the entry is left out."""
         return self.source(key) if key in self.entries else ""
 
-    def table(self, key: str) -> "_Table":
+    def table(self, key: str) -> "Table":
         """Return an inner table."""
-        return _Table(self._field(key), self._take(key), self.file, self.sources)
+        return Table(self._field(key), self._take(key), self.file, self.sources)
 
-    def tables(self, key: str) -> dict[str, "_Table"]:
+    def tables(self, key: str) -> dict[str, "Table"]:
         """Return the tables inside an inner table, by name; there must be one at least."""
         outer = self.table(key)
         if not outer.entries:
@@ -133,7 +152,8 @@ class _Table:
             raise self.fail(sorted(self.entries)[0], "is not a known key")
 
 
-def _read(path: Path) -> _Table:
+def read(path: Path) -> Table:
+    """Return a TOML file as a table that knows the sources it may name."""
     try:
         with path.open("rb") as file:
             entries = tomllib.load(file)
@@ -145,7 +165,7 @@ def _read(path: Path) -> _Table:
     beside = path.parent / "references.bib"
     if FOLDER not in path.resolve().parents and beside.exists():
         sources = {**sources, **read_references(beside)}
-    return _Table("", entries, path.name, sources)
+    return Table("", entries, path.name, sources)
 
 
 def _natural(text: str) -> list:
@@ -153,39 +173,40 @@ def _natural(text: str) -> list:
 
 
 @cache
-def _shipped(folder: str) -> dict[str, Path]:
+def shipped(folder: str) -> dict[str, Path]:
     """Return the shipped files of a folder by the name that each gives itself."""
-    found = {_read(path).text("name"): path for path in (FOLDER / folder).glob("*.toml")}
+    found = {read(path).text("name"): path for path in (FOLDER / folder).glob("*.toml")}
     return {name: found[name] for name in sorted(found, key=_natural)}
 
 
-def _path_of(folder: str, what: str, name: str | Path) -> Path:
+def path_of(folder: str, what: str, name: str | Path) -> Path:
+    """Return the path of a shipped file by its name, or the path given."""
     if isinstance(name, Path) or name.endswith(".toml"):
         return Path(name)
-    if name not in _shipped(folder):
-        raise ValueError(f"{what} '{name}' is unknown; known are {', '.join(_shipped(folder))}")
-    return _shipped(folder)[name]
+    if name not in shipped(folder):
+        raise ValueError(f"{what} '{name}' is unknown; known are {', '.join(shipped(folder))}")
+    return shipped(folder)[name]
 
 
 def list_alloys() -> list[str]:
     """Return the names of the shipped alloys."""
-    return list(_shipped("alloys"))
+    return list(shipped("alloys"))
 
 
 def list_media() -> list[str]:
     """Return the names of the shipped media."""
-    return list(_shipped("media"))
+    return list(shipped("media"))
 
 
 def list_parameter_sets() -> list[str]:
     """Return the names of the shipped parameter sets."""
-    return list(_shipped("parameter_sets"))
+    return list(shipped("parameter_sets"))
 
 
 @cache
 def load_elements() -> Mapping[str, Element]:
     """Return the elements that alloys may be made of, by symbol."""
-    file = _read(FOLDER / "elements.toml")
+    file = read(FOLDER / "elements.toml")
     elements = {}
     for symbol in list(file.entries):
         table = file.table(symbol)
@@ -201,7 +222,7 @@ def load_alloy(name: str | Path) -> Alloy:
     Raises ValueError for an unknown name (naming the known ones) or whatever is wrong in the
     file, FileNotFoundError where there is no such file.
     """
-    file = _read(_path_of("alloys", "alloy", name))
+    file = read(path_of("alloys", "alloy", name))
     elements = load_elements()
     dissolving = file.text("dissolving_element", allowed=tuple(elements))
     given: dict[str, Quantity] = {}
@@ -242,7 +263,7 @@ def load_alloy(name: str | Path) -> Alloy:
     return alloy
 
 
-def _with_balance(file: _Table, dissolving: str, given: dict[str, Quantity]) -> dict[str, Quantity]:
+def _with_balance(file: Table, dissolving: str, given: dict[str, Quantity]) -> dict[str, Quantity]:
     if dissolving in given:
         raise ValueError(
             f"{file.file}: mass_fractions.{dissolving} must not be given; "
@@ -273,7 +294,7 @@ def _mixture_density(
 
 def load_medium(name: str | Path) -> Medium:
     """Return a medium by its name, or from a .toml file of one's own. Raises as load_alloy."""
-    file = _read(_path_of("media", "medium", name))
+    file = read(path_of("media", "medium", name))
     species = {}
     for symbol, table in (file.tables("species") if "species" in file.entries else {}).items():
         species[symbol] = Species(**table.quantities(limits.SPECIES))
@@ -282,6 +303,7 @@ def load_medium(name: str | Path) -> Medium:
         name=file.text("name"),
         title=file.text("title"),
         species=species,
+        reactions=file.text("reactions", default="", allowed=("", *shipped("reactions"))),
         first_published=file.source_or_none("first_published"),
         note=file.text("note", default=""),
         **file.quantities(limits.MEDIUM, limits.MEDIUM_OPTIONAL),
@@ -295,7 +317,7 @@ def load_parameter_set(name: str | Path) -> ParameterSet:
 
     Raises as load_alloy.
     """
-    file = _read(_path_of("parameter_sets", "parameter set", name))
+    file = read(path_of("parameter_sets", "parameter set", name))
     table = file.table("scene")
     scene = CalibrationScene(
         solid=table.text("solid"),

@@ -12,6 +12,7 @@ LOADERS = {
     "alloys": (perilife_data.list_alloys, perilife_data.load_alloy),
     "media": (perilife_data.list_media, perilife_data.load_medium),
     "parameter_sets": (perilife_data.list_parameter_sets, perilife_data.load_parameter_set),
+    "reactions": (perilife_data.list_reaction_sets, perilife_data.load_reaction_set),
 }
 FILES = sorted(path for folder in LOADERS for path in (FOLDER / folder).glob("*.toml"))
 
