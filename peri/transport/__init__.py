@@ -1,0 +1,1 @@
+"""Dissolved species: their reactions, activities, minerals and transport through the liquid."""

@@ -1,0 +1,98 @@
+"""PHREEQC as an independent program: runs inputs, writes a database of our declaration."""
+
+from phreeqpython import PhreeqPython
+
+from peri.transport.species import LN10, Chemistry
+
+# The element that PHREEQC books a component under, and its name for the component.
+ELEMENT = {"CO3": "C", "PO4": "P", "Mg": "Mg", "Ca": "Ca", "Na": "Na", "Cl": "Cl"}
+
+
+def ion(name: str, charge: float) -> str:
+    """A species as PHREEQC writes it: Mg+2, CO3-2, CO2."""
+    return name + (f"{int(charge):+d}".replace("+1", "+").replace("-1", "-") if charge else "")
+
+
+def database(chemistry: Chemistry) -> str:
+    """A PHREEQC database of exactly this chemistry; without -gamma it uses Davies' equation."""
+    ions = [ion(n, z) for n, z in zip(chemistry.names, chemistry.charge, strict=True)]
+    lines = [
+        "SOLUTION_MASTER_SPECIES",
+        "H H+ -1 H 1.008", "H(0) H2 0 H", "H(1) H+ -1 0", "E e- 0 0 0",
+        "O H2O 0 O 16", "O(0) O2 0 O", "O(-2) H2O 0 0",
+    ]  # fmt: skip
+    lines += [
+        f"{ELEMENT[c]} {i} 0 {ELEMENT[c]} 20"
+        for c, i in zip(chemistry.components, ions, strict=False)
+        if c != "H"
+    ]
+    lines += [
+        "SOLUTION_SPECIES",
+        "H+ = H+",
+        "log_k 0",
+        "e- = e-",
+        "log_k 0",
+        "H2O = H2O",
+        "log_k 0",
+    ]
+    lines += ["2 H2O = O2 + 4 H+ + 4 e-", "log_k -86", "2 H+ + 2 e- = H2", "log_k -3.1"]
+    for k, name in enumerate(ions):
+        if k < len(chemistry.components):
+            lines += [f"{name} = {name}", "log_k 0"] if name != "H+" else []
+            continue
+        row = chemistry.stoichiometry[k]
+        sides = _sides(row, ions, chemistry.water[k], name)
+        lines += [sides, f"log_k {chemistry.ln_k[k] / LN10:.15g}"]
+    lines.append("PHASES")
+    for mineral in chemistry.minerals:
+        formula = {
+            "brucite": "Mg(OH)2", "calcite": "CaCO3", "magnesite": "MgCO3",
+            "hydroxyapatite": "Ca5(PO4)3OH",
+        }[mineral.name]  # fmt: skip
+        left, right = [formula], []
+        for c, count in zip(ions, mineral.stoichiometry, strict=False):
+            (right if count > 0 else left).extend([f"{abs(count):g} {c}"] if count else [])
+        if mineral.water:
+            right.append(f"{mineral.water} H2O")
+        lines += [mineral.name, " + ".join(left) + " = " + " + ".join(right)]
+        lines.append(f"log_k {mineral.ln_k / LN10:.15g}")
+    return "\n".join([*lines, "END", ""])
+
+
+def _sides(row, ions, water, name) -> str:
+    left = [f"{n:g} {c}" for c, n in zip(ions, row, strict=False) if n > 0]
+    right = [name] + [f"{-n:g} {c}" for c, n in zip(ions, row, strict=False) if n < 0]
+    if water:
+        (left if water > 0 else right).append(f"{abs(water):g} H2O")
+    return " + ".join(left) + " = " + " + ".join(right)
+
+
+def run(text: str, own_database: str | None = None) -> list[dict[str, float]]:
+    """Run an input with phreeqc.dat or a database of one's own; rows of its selected output."""
+    program = PhreeqPython(database="phreeqc.dat").ip
+    if own_database is not None:
+        program.load_database_string(own_database)
+    program.run_string(text)
+    head, *rows = program.get_selected_output_array()
+    return [dict(zip(head, row, strict=True)) for row in rows]
+
+
+def solution(totals: dict[str, float], celsius: float, with_carbon: str = "C") -> str:
+    """A SOLUTION block of totals in mol/m3, pH from the charge balance."""
+    names = {"HCO3": with_carbon, "HPO4": "P"}
+    lines = [f"SOLUTION 1\n temp {celsius}\n units mol/kgw\n pH 7.4 charge"]
+    lines += [f" {names.get(n, n)} {v * 1e-3:.15g}" for n, v in totals.items() if v > 0]
+    return "\n".join(lines) + "\n"
+
+
+def punch(chemistry: Chemistry, more: str = "", values: str = "") -> str:
+    """A block that prints pH, ionic strength, DH_A, and the index of every mineral."""
+    names = [m.name for m in chemistry.minerals]
+    index = "".join(f', SI("{n}")' for n in names)
+    return (
+        "KNOBS\n -convergence_tolerance 1e-12\nSELECTED_OUTPUT\n -reset false\n"
+        " -high_precision true\nUSER_PUNCH\n -headings pH mu A "
+        + " ".join(names)
+        + more
+        + f'\n 10 PUNCH -LA("H+"), MU, DH_A{index}{values}\n'
+    )
