@@ -42,6 +42,7 @@ BELOW = {
         "engine": set(),
         "parallel": {"engine"},
         "reference": {"engine"},
+        "transport": {"engine"},
         "corrosion": {"engine", "parallel"},
         "omissions": {"engine", "corrosion"},
     },

@@ -1,4 +1,4 @@
-"""The composition of a node from its totals: a convex minimisation, compiled."""
+"""The composition of a node from its totals: a convex minimisation, compiled.
 
 With C_k(m) = exp(b_k + sum_e nu_ke m_e), the m that satisfies sum_k nu_ke w_k C_k = S_e for every
 component e is the minimum of
@@ -7,8 +7,8 @@ component e is the minimum of
 
 w = 1 gives the composition of a vessel with totals S_e = T_e, w_k = D_k that of a node of which
 transport knows Pi_e = sum_k nu_ke D_k C_k.  F is strictly convex, so the minimum is unique and
-Newton's method with steps of bounded length and a search along them finds it.  Nodes are done eight
-at a time so that the processor works on vectors.
+Newton's method with steps of bounded length and a search along them finds it.  Eight nodes are
+done at a time, so that the processor works on vectors.
 """
 
 from __future__ import annotations
