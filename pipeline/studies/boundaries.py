@@ -40,7 +40,7 @@ def held_layers(ratio: int) -> list[float]:
 
 
 def print_boundaries() -> None:
-    """Print the tables as they stand in peri/README.md (Markdown)."""
+    """Print the tables as they stand in peri/MEASURED.md (Markdown)."""
     print("\nWidth that a no-flux wall takes from a flux along it, over δ.\n")
     names = ["flat, 2D", "flat, 3D", f"tube, R = {TUBE:g} δ", "2D, scaled", "3D, scaled"]
     _print_table(names, along_a_wall, "{:+.4f}")

@@ -105,7 +105,7 @@ def faradaic_front_speed(stencil: Stencil, layers: int = 60) -> float:
 
 
 def print_rates() -> None:
-    """Print the tables as they stand in peri/README.md (Markdown)."""
+    """Print the tables as they stand in peri/MEASURED.md (Markdown)."""
     for calibration, text in (
         ("axis", 'D_int from a front along a lattice axis (flux_calibration="axis")'),
         ("isotropic", 'D_int from the mean over all orientations ("isotropic", the default)'),

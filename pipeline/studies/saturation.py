@@ -13,7 +13,7 @@ END = 14 * DAY
 
 
 def print_saturation(alloy: str = "Mg-10Gd", steps: tuple[float, ...] = STEPS) -> None:
-    """Print V_L after 14 days for each model and step (h) as it stands in peri/README.md."""
+    """Print V_L after 14 days for each model and step (h) as it stands in peri/MEASURED.md."""
     models = ("complementarity", "as_published")
     scenes = {model: screw_scene(alloy, 2, model) for model in models}
     print(f"\nVolume loss of {alloy} after 14 days in %, backward Euler with fixed steps.\n")
