@@ -53,6 +53,7 @@ BELOW = {
         "stages": {"scene", "geometry", "record"},
         "report": {"scene", "geometry", "record", "stages"},
         "studies": {"scene", "geometry", "record", "stages"},
+        "calibration": {"scene", "geometry", "record", "stages"},
         "life_cycle": {"scene", "geometry", "record", "stages", "report"},
         "benches": {"scene", "geometry", "record", "stages", "studies", "life_cycle"},
         "cli": {"scene", "record", "stages", "studies", "life_cycle", "benches"},

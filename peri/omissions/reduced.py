@@ -264,7 +264,9 @@ def _invert(integral: Array, slope: Array, wanted: Array) -> Array:
     """x in [-1, 1] where each rising polynomial (Legendre coefficients per row) has its value."""
     low, high = -np.ones(wanted.shape), np.ones(wanted.shape)
     whole = integral.sum(axis=1)  # every Legendre polynomial is 1 at the right end
-    x = np.clip(2.0 * np.divide(wanted, whole, where=whole > 0, out=np.zeros_like(whole)) - 1, -1, 1)
+    x = np.clip(
+        2.0 * np.divide(wanted, whole, where=whole > 0, out=np.zeros_like(whole)) - 1, -1, 1
+    )
     for _ in range(60):
         basis = legendre.legvander(x, _POINTS)
         excess = np.sum(integral * basis, axis=1) - wanted

@@ -18,10 +18,10 @@ from scipy.stats import qmc
 Array = NDArray[np.float64]
 
 Model = Callable[[Array, Array], tuple[Array, Array]]
-"""(times (nt,) in s, logarithms (np,)) to predictions (nt,) and d prediction/d logarithm (nt, np)."""
+"""Times (nt,) in s and logarithms (np,) to predictions (nt,) and their derivatives (nt, np)."""
 
 STARTS = 12
-"""Of the fit, besides the one asked for: one optimum was reached by 50 of 50 (`bench calibration`)."""
+"""Searches of a fit; 50 of 50 end at one optimum (`perilife bench calibration`)."""
 
 _AT_BOUND = 1e-3
 """Distance in ln at which an optimum counts as lying on its bound."""
@@ -151,7 +151,7 @@ def fit(
     if count < free:
         raise CalibrationError(
             f"{count} measurements cannot determine {free} parameters "
-            f"({', '.join(p.name for p in parameters)}); there must be at least as many, or fix some"
+            f"({', '.join(p.name for p in parameters)}); they must be as many, or some be fixed"
         )
     if measurements.deviations is None and count < free + 2:
         raise CalibrationError(

@@ -112,7 +112,9 @@ class _Density:
             return -np.inf
         result = self.result
         predictions, _ = self.model(result.measurements.times, logs)
-        squares = float(np.sum(((result.measurements.values - predictions) / result.deviations) ** 2))
+        squares = float(
+            np.sum(((result.measurements.values - predictions) / result.deviations) ** 2)
+        )
         if not result.scatter_estimated:
             return -0.5 * squares
         return -0.5 * len(predictions) * np.log(max(squares, 1e-300))

@@ -114,9 +114,7 @@ def test_profile_is_a_parabola_near_the_optimum():
     found = fit(model, data, PARAMETERS)
     deviation = of_fit(found).deviations[0]
     steps = np.array([-0.2, 0.0, 0.2])
-    losses = profile(
-        model, data, found.parameters, "D", np.exp(found.logs[0] + steps * deviation)
-    )
+    losses = profile(model, data, found.parameters, "D", np.exp(found.logs[0] + steps * deviation))
     # chi-square grows by the square of the step in standard deviations; skewness adds a tenth
     np.testing.assert_allclose(losses - found.loss, steps**2, atol=0.008)
 

@@ -9,7 +9,7 @@ from scipy import stats
 from pipeline.calibration.fit import CalibrationError, Measurements, Parameter, fit
 from pipeline.calibration.identifiability import of_fit
 from pipeline.calibration.posterior import Posterior, band, posterior
-from tests.pipeline.calibration.synthetic import PARAMETERS, measured, model
+from tests.pipeline.calibration.synthetic import PARAMETERS, SCATTER, measured, model
 
 
 def linear(count):
@@ -47,33 +47,54 @@ def test_unknown_scatter_widens_the_posterior_to_a_student_t():
     assert 0.5 * (high - low) == pytest.approx(expected, rel=0.01)
 
 
-def test_against_an_independent_sampler():
-    emcee = pytest.importorskip("emcee")
-    found = fit(model, measured(1), PARAMETERS)
-    grid = posterior(model, found)
+@pytest.fixture(scope="module")
+def fitted():
+    return fit(model, measured(1), PARAMETERS)
+
+
+@pytest.fixture(scope="module")
+def sampled(fitted):
+    return posterior(model, fitted)
+
+
+def log_density(fitted):
+    """Of the posterior, up to a constant, from the definition."""
     lower, upper = (np.log([getattr(p, end) for p in PARAMETERS]) for end in ("lower", "upper"))
 
     def density(logs):
         if (logs < lower).any() or (logs > upper).any():
             return -np.inf
-        left = (found.measurements.values - model(found.measurements.times, logs)[0]) / 0.01
-        return -0.5 * np.sum(left**2)
+        left = fitted.measurements.values - model(fitted.measurements.times, logs)[0]
+        return -0.5 * np.sum((left / SCATTER) ** 2)
 
-    random = np.random.default_rng(0)
-    start = found.logs + 0.1 * random.standard_normal((16, 2))
+    return density
+
+
+def test_bands_are_those_of_a_plain_grid(fitted, sampled):
+    density = log_density(fitted)
+    lines = (np.log(np.geomspace(6e-15, 1e-13, 40)), np.log(np.geomspace(0.02, 10.0, 40)))
+    logs = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
+    weights = np.exp([density(point) + 0.5 * fitted.loss for point in logs])
+    plain = band(logs, weights / weights.sum())
+    difference = (band(sampled.logs, sampled.weights) - plain) / sampled.deviations()
+    # of a standard deviation; measured 0.15, of which half is the plain grid of 40 points
+    assert np.abs(difference).max() < 0.25
+    assert (sampled.deviations() > of_fit(fitted).deviations).all()  # skewed: wider than normal
+
+
+@pytest.mark.slow
+def test_against_an_independent_sampler(fitted, sampled):
+    emcee = pytest.importorskip("emcee")
     np.random.seed(0)
-    sampler = emcee.EnsembleSampler(16, 2, density)
-    sampler.run_mcmc(start, 400, progress=False)
-    chain = sampler.get_chain(discard=100, flat=True)
-    # 4,800 steps with a correlation time of about 30 know a quantile to a tenth of a deviation
-    bands = band(grid.logs, grid.weights), band(chain)
-    assert np.abs((bands[0] - bands[1]) / grid.deviations()).max() < 0.3  # measured 0.1
-    assert (grid.deviations() > of_fit(found).deviations).all()  # skewed: wider than normal
+    start = fitted.logs + 0.1 * np.random.standard_normal((16, 2))
+    sampler = emcee.EnsembleSampler(16, 2, log_density(fitted))
+    sampler.run_mcmc(start, 2000, progress=False)
+    chain = sampler.get_chain(discard=200, flat=True)
+    difference = (band(sampled.logs, sampled.weights) - band(chain)) / sampled.deviations()
+    assert np.abs(difference).max() < 0.3  # about 600 independent samples
 
 
-def test_draws_have_the_posteriors_moments():
-    found = fit(model, measured(1), PARAMETERS)
-    sampled = posterior(model, found)
+def test_draws_have_the_posteriors_moments(sampled):
     drawn = sampled.draw(2000)
     np.testing.assert_allclose(drawn.mean(axis=0), sampled.mean(), atol=0.02)
     np.testing.assert_allclose(drawn.std(axis=0), sampled.deviations(), rtol=0.05)
