@@ -85,8 +85,7 @@ def test_bands_are_those_of_a_plain_grid(fitted, sampled):
 @pytest.mark.slow
 def test_against_an_independent_sampler(fitted, sampled):
     emcee = pytest.importorskip("emcee")
-    np.random.seed(0)
-    start = fitted.logs + 0.1 * np.random.standard_normal((16, 2))
+    start = fitted.logs + 0.1 * np.random.default_rng(0).standard_normal((16, 2))
     sampler = emcee.EnsembleSampler(16, 2, log_density(fitted))
     sampler.run_mcmc(start, 2000, progress=False)
     chain = sampler.get_chain(discard=200, flat=True)

@@ -53,7 +53,7 @@ def test_leaving_one_out_in_closed_form_is_a_fit_without_the_point():
 def test_ranges_as_printed_hide_a_worst_case(checks):
     """Scaled linearly, thirty points lie at large D only, and small D is anyone's guess."""
     random = np.random.default_rng(0)
-    points = np.stack([random.uniform(*ends, 30) for ends in zip(BOX.lower, BOX.upper)], axis=1)
+    points = random.uniform(BOX.lower, BOX.upper, (30, 2))
     surrogate = Surrogate(BOX, points, losses(points), logarithms=False)
     worst = np.abs(surrogate(checks[0])[0] - checks[1]).max()
     assert worst > 0.15
