@@ -113,10 +113,7 @@ def strength_curve(
                 f"it must be at most {100 * tolerance:.2g} %"
             )
         worst = 1 + int(np.argmax(np.abs(curve.leave_one_out())))
-        wider = (
-            worst
-            if losses[worst + 1] - losses[worst] > losses[worst] - losses[worst - 1]
-            else (worst - 1)
-        )
+        before, after = np.diff(losses[worst - 1 : worst + 2])
+        wider = worst if after > before else worst - 1
         losses.insert(wider + 1, 0.5 * (losses[wider] + losses[wider + 1]))
         strengths.insert(wider + 1, test([losses[wider + 1]])[0])
