@@ -46,10 +46,19 @@ class Stencil:
 
     octant : (reach_x+1, ..., ) weights of the non-negative offsets; zero at the origin.
     spacing : node distance per axis, m.
+    parity : per axis, 1 where a weight keeps its value and -1 where it changes its sign when the
+        offset is reflected; by default even in every axis, as all weights of diffusion are.
     """
 
     octant: np.ndarray
     spacing: tuple[float, ...]
+    parity: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "parity", tuple(self.parity) or (1,) * self.octant.ndim)
+        for a, sign in enumerate(self.parity):
+            if sign < 0 and np.take(self.octant, 0, axis=a).any():
+                raise ValueError(f"octant: weights odd along axis {a} must vanish at offset 0 of it")
 
     @property
     def dimension(self) -> int:
@@ -72,12 +81,12 @@ class Stencil:
     @property
     def bonds(self) -> int:
         """Number of bonds of a node with a full neighbourhood."""
-        return int(self.multiplicity[self.octant > 0].sum())
+        return int(self.multiplicity[self.octant != 0].sum())
 
     @property
     def total(self) -> float:
-        """sum_j w_ij of a full neighbourhood, 1/m^2."""
-        return float((self.multiplicity * self.octant).sum())
+        """sum_j w_ij of a full neighbourhood, 1/m^2; 0 for odd weights."""
+        return float((self.multiplicity * self.octant).sum()) if min(self.parity) > 0 else 0.0
 
     def second_moment(self) -> np.ndarray:
         """sum_j w_ij xi_a^2 per axis, (d,); 2 where the lattice sum is exact for quadratics."""
@@ -122,6 +131,7 @@ class Stencil:
         out = self.octant
         for a in range(self.dimension):
             mirrored = np.flip(np.take(out, range(1, out.shape[a]), axis=a), axis=a)
+            mirrored = self.parity[a] * mirrored
             out = np.concatenate([mirrored, out], axis=a)
         return out
 

@@ -121,6 +121,8 @@ def _convolve_tile(
     shell_start: Array,
     weights: Array,
     shells_used: Array,
+    sign_a: float,
+    sign_c: float,
 ) -> None:
     """The stencil sum of the rows j0 <= j < j1 of plane i; see `convolve`."""
     ra, rb, rc = reach
@@ -145,7 +147,7 @@ def _convolve_tile(
             before = u[i + ra - a, j0 + j, k0 : k0 + n]
             after = u[i + ra + a, j0 + j, k0 : k0 + n]
             for k in range(n):
-                target[k] = before[k] + after[k]
+                target[k] = sign_a * before[k] + after[k]
     n_shells = shell_start.size - 1
     shells = np.empty((n_shells, n))
     columns = np.empty((rc + 1, n))
@@ -170,7 +172,7 @@ def _convolve_tile(
             before = columns[c, shift - c : shift - c + m]
             after = columns[c, shift + c : shift + c + m]
             for k in range(m):
-                target[k] += before[k] + after[k]
+                target[k] += sign_c * before[k] + after[k]
 
 
 @_by_size
@@ -186,15 +188,19 @@ def convolve(
     shell_start: Array,
     weights: Array,
     shells_used: Array,
+    sign_a: float,
+    sign_c: float,
 ) -> None:
     """out_i = sum_j w_ij u_j over the rows' ranges [low, high) of the interior.
 
-    Factorised for kernels even in every axis: planes i-a and i+a are added first, rows whose
-    weight columns agree are added next (a shell), the shells are combined once per distance c
-    along the row, and the shifted columns are added last: about a third of the additions of a
-    plain sum over bonds, and the same sum up to round-off.  tiles (nt, 3): plane, first and last
-    row; weights (reach_c + 1, n_shells): weight of shell s at distance c; shells_used: how many
-    shells (sorted by length) matter at distance c.
+    Factorised for kernels even or odd in each axis: planes i-a and i+a are added (subtracted)
+    first, rows whose weight columns agree are added next (a shell), the shells are combined once
+    per distance c along the row, and the shifted columns are added (subtracted) last: about a
+    third of the additions of a plain sum over bonds, and the same sum up to round-off.
+    tiles (nt, 3): plane, first and last row; weights (reach_c + 1, n_shells): weight of shell s
+    at distance c; shells_used: how many shells (sorted by length) matter at distance c; sign_a,
+    sign_c: 1.0 for a kernel even along the planes, along the rows, -1.0 for an odd one (across
+    the rows a sign is part of the shells' weights).
     """
     for t in prange(tiles.shape[0]):
         _convolve_tile(
@@ -211,6 +217,8 @@ def convolve(
             shell_start,
             weights,
             shells_used,
+            sign_a,
+            sign_c,
         )
 
 

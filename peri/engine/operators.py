@@ -19,7 +19,7 @@ _TILE_ROWS = 16
 class NonlocalSum:
     """out_i = sum_j w_ij u_j on a lattice, matrix-free.
 
-    The stencil is even in every axis, which the compiled kernel uses (kernels.convolve).
+    The stencil is even or odd in each axis, which the compiled kernel uses (kernels.convolve).
 
     Parameters
     ----------
@@ -66,7 +66,8 @@ class NonlocalSum:
         active = np.ones(self.shape, bool) if wanted is None else wanted.reshape(self.shape)
         self.low, self.high = _row_ranges(active)
         self._tiles = _tiles(self.low, self.high)
-        self._shells = _shells(self.octant)
+        self._signs = (1,) * len(lead) + stencil.parity
+        self._shells = _shells(self.octant, self._signs)
         if method == "fft":
             self._transform = self._fft_symbol()
 
@@ -101,8 +102,16 @@ class NonlocalSum:
         wrapped = np.zeros(self._fft_shape)
         signed = [np.arange(-r, r + 1) for r in self.reach]
         grids = np.ix_(*[s % n for s, n in zip(signed, self._fft_shape, strict=True)])
-        wrapped[grids] = self.octant[np.ix_(*[np.abs(s) for s in signed])]
-        return fft.rfftn(wrapped, workers=-1).real
+        values = self.octant[np.ix_(*[np.abs(s) for s in signed])]
+        for a, sign in enumerate(self._signs):
+            if sign < 0:
+                # The sum runs over receiving nodes: an offset is that of the other node.
+                shape = [1, 1, 1]
+                shape[a] = -1
+                values = -values * np.sign(signed[a]).reshape(shape)
+        wrapped[grids] = values
+        symbol = fft.rfftn(wrapped, workers=-1)
+        return symbol.real if min(self._signs) > 0 else symbol
 
 
 def _row_ranges(active: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -124,32 +133,33 @@ def _tiles(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     return np.array(tiles, np.int64).reshape(-1, 3)
 
 
-def _shells(octant: np.ndarray) -> tuple[np.ndarray, ...]:
+def _shells(octant: np.ndarray, signs: tuple[int, ...]) -> tuple:
     """Rows of the stencil grouped by equal weight columns, in the form the kernel takes."""
     groups: dict[bytes, list[tuple[int, int]]] = {}
-    scale = octant.max()
+    scale = np.abs(octant).max()
+
+    def column(a: int, b: int) -> np.ndarray:
+        return octant[a, b] if b >= 0 else signs[1] * octant[a, -b]
+
     for a in range(octant.shape[0]):
         for b in range(octant.shape[1]):
-            column = octant[a, b]
-            if column.any():
-                key = np.round(column / scale, 13).tobytes()
-                groups.setdefault(key, []).append((a, b))
+            if octant[a, b].any():
+                for signed in {b, -b}:
+                    key = np.round(column(a, signed) / scale, 13).tobytes()
+                    groups.setdefault(key, []).append((a, signed))
     groups = groups or {b"": [(0, 0)]}  # no bonds at all: one shell of zeros
     # Longest columns first, so that the shells that matter at distance c are the first ones.
-    ordered = sorted(groups.values(), key=lambda p: -np.flatnonzero(octant[p[0]]).max(initial=0))
-    source_a, source_b, start = [], [], [0]
-    for pairs in ordered:
-        for a, b in pairs:
-            for signed in {b, -b}:
-                source_a.append(a)
-                source_b.append(signed)
-        start.append(len(source_a))
-    weights = np.array([octant[p[0]] for p in ordered]).T.copy()
+    ordered = sorted(groups.values(), key=lambda p: -np.flatnonzero(column(*p[0])).max(initial=0))
+    sources = np.array([row for rows in ordered for row in rows], np.int64)
+    start = np.cumsum([0] + [len(rows) for rows in ordered])
+    weights = np.array([column(*rows[0]) for rows in ordered]).T.copy()
     used = np.array([int(np.flatnonzero(w).max(initial=-1)) + 1 for w in weights])
     return (
-        np.array(source_a, np.int64),
-        np.array(source_b, np.int64),
-        np.array(start, np.int64),
+        sources[:, 0].copy(),
+        sources[:, 1].copy(),
+        start.astype(np.int64),
         weights,
         np.maximum(used, 1),
+        float(signs[0]),
+        float(signs[2]),
     )
