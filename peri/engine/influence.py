@@ -58,7 +58,9 @@ class Stencil:
         object.__setattr__(self, "parity", tuple(self.parity) or (1,) * self.octant.ndim)
         for a, sign in enumerate(self.parity):
             if sign < 0 and np.take(self.octant, 0, axis=a).any():
-                raise ValueError(f"octant: weights odd along axis {a} must vanish at offset 0 of it")
+                raise ValueError(
+                    f"octant: weights odd along axis {a} must vanish at offset 0 of it"
+                )
 
     @property
     def dimension(self) -> int:

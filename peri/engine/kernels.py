@@ -22,10 +22,10 @@ Triple = tuple[int, ...]
 _THREADED_FROM = 150_000
 
 
-def _by_size(function: Callable | None = None, *, fastmath: bool | set[str] = False) -> Callable:
+def by_size(function: Callable | None = None, *, fastmath: bool | set[str] = False) -> Callable:
     """Compile a loop twice, serial and threaded, and choose by the size of its first array."""
     if function is None:
-        return lambda f: _by_size(f, fastmath=fastmath)
+        return lambda f: by_size(f, fastmath=fastmath)
     serial = njit(cache=True, fastmath=fastmath)(_named(function, "serial"))
     threaded = njit(cache=True, parallel=True, fastmath=fastmath)(function)
 
@@ -45,10 +45,10 @@ def _named(function: Callable, suffix: str) -> types.FunctionType:
 
 
 # Contraction lets a*b+c become one fused operation; NaN and infinity keep their meaning.
-_CONTRACT = {"contract"}
+CONTRACT = {"contract"}
 
 
-@njit(cache=True, fastmath=_CONTRACT)
+@njit(cache=True, fastmath=CONTRACT)
 def _sum_rows(source: Array, rows: Array, first: int, last: int, target: Array) -> None:
     """target[:] = sum of source[rows[first:last]], four rows a sweep."""
     n = target.size
@@ -75,7 +75,7 @@ def _sum_rows(source: Array, rows: Array, first: int, last: int, target: Array) 
         r += 1
 
 
-@njit(cache=True, fastmath=_CONTRACT)
+@njit(cache=True, fastmath=CONTRACT)
 def _combine_shells(shells: Array, weights: Array, count: int, target: Array) -> None:
     """target[:] = sum over shells s < count of weights[s] * shells[s], four shells a sweep."""
     n = target.size
@@ -106,7 +106,7 @@ def _combine_shells(shells: Array, weights: Array, count: int, target: Array) ->
         s += 1
 
 
-@njit(cache=True, fastmath=_CONTRACT)
+@njit(cache=True, fastmath=CONTRACT)
 def _convolve_tile(
     u: Array,
     out: Array,
@@ -175,7 +175,7 @@ def _convolve_tile(
                 target[k] += sign_c * before[k] + after[k]
 
 
-@_by_size
+@by_size
 def convolve(
     u: Array,
     out: Array,
@@ -225,7 +225,7 @@ def convolve(
 # --- Vector operations over the rows' ranges of padded fields -------------------------------
 
 
-@_by_size(fastmath=_CONTRACT)
+@by_size(fastmath=CONTRACT)
 def inner_product(a: Array, b: Array) -> Array:
     """sum a b per plane (not by BLAS, whose own threads would compete with these)."""
     partial = np.zeros(a.shape[0])
@@ -239,7 +239,7 @@ def inner_product(a: Array, b: Array) -> Array:
     return partial
 
 
-@_by_size(fastmath=_CONTRACT)
+@by_size(fastmath=CONTRACT)
 def next_direction(
     z: Array, p: Array, weight: Array, q: Array, beta: float, low: Array, high: Array, reach: Triple
 ) -> None:
@@ -256,7 +256,7 @@ def next_direction(
                 qr[k] = wr[k] * value
 
 
-@_by_size(fastmath=_CONTRACT)
+@by_size(fastmath=CONTRACT)
 def diffusion_rows(
     u: Array,
     y: Array,
@@ -284,7 +284,26 @@ def diffusion_rows(
     return partial
 
 
-@_by_size(fastmath=_CONTRACT)
+@by_size(fastmath=CONTRACT)
+def add_shift(u: Array, y: Array, shift: Array, low: Array, high: Array, reach: Triple) -> Array:
+    """y += shift u; returns u . (shift u) per plane."""
+    ra, rb, rc = reach
+    partial = np.zeros(low.shape[0])
+    for i in prange(low.shape[0]):
+        total = 0.0
+        for j in range(low.shape[1]):
+            lo, hi = low[i, j] + rc, high[i, j] + rc
+            ur, yr = u[i + ra, j + rb, lo:hi], y[i + ra, j + rb, lo:hi]
+            sr = shift[i + ra, j + rb, lo:hi]
+            for k in range(hi - lo):
+                value = sr[k] * ur[k]
+                yr[k] += value
+                total += value * ur[k]
+        partial[i] = total
+    return partial
+
+
+@by_size(fastmath=CONTRACT)
 def stage_residual(
     y: Array,
     old: Array,
@@ -314,7 +333,7 @@ def stage_residual(
     return partial
 
 
-@_by_size(fastmath=_CONTRACT)
+@by_size(fastmath=CONTRACT)
 def advance_solution(
     x: Array, r: Array, p: Array, y: Array, alpha: float, low: Array, high: Array, reach: Triple
 ) -> Array:
@@ -336,7 +355,7 @@ def advance_solution(
     return partial
 
 
-@_by_size(fastmath=_CONTRACT)
+@by_size(fastmath=CONTRACT)
 def add_diagonal_and_coarse(
     r: Array,
     inverse: Array,
@@ -372,7 +391,7 @@ def add_diagonal_and_coarse(
 # --- Multigrid for the local operator; level arrays carry one ghost cell on each side --------
 
 
-@_by_size
+@by_size
 def aggregate(fine: Array, margin: Triple, factors: Triple, coarse: Array) -> None:
     """coarse cell = sum of its factors[0] x factors[1] x factors[2] fine cells."""
     ma, mb, mc = margin
@@ -389,7 +408,7 @@ def aggregate(fine: Array, margin: Triple, factors: Triple, coarse: Array) -> No
                         row[k // fc + 1] += source[k + mc]
 
 
-@_by_size
+@by_size
 def prolong_add(coarse: Array, factors: Triple, margin: Triple, fine: Array) -> None:
     """fine += the value of the coarse cell that each cell belongs to."""
     ma, mb, mc = margin
@@ -401,7 +420,7 @@ def prolong_add(coarse: Array, factors: Triple, margin: Triple, fine: Array) -> 
                 row[k + mc] += line[k // fc + 1]
 
 
-@_by_size(fastmath=_CONTRACT)
+@by_size(fastmath=CONTRACT)
 def local_step(
     x: Array,
     b: Array,
@@ -436,7 +455,7 @@ def local_step(
                 dr[k] = previous * dr[k] + scale * ((br[k] + near) * vr[k] - (vr[k] > 0) * xr[k])
 
 
-@_by_size(fastmath=_CONTRACT)
+@by_size(fastmath=CONTRACT)
 def local_residual(
     x: Array, b: Array, ta: Array, tb: Array, tc: Array, diagonal: Array, r: Array
 ) -> None:
@@ -459,7 +478,7 @@ def local_residual(
                 rr[k] = br[k] + near - dr[k] * xr[k]
 
 
-@_by_size(fastmath=_CONTRACT)
+@by_size(fastmath=CONTRACT)
 def local_product(x: Array, ta: Array, tb: Array, tc: Array, diagonal: Array, y: Array) -> None:
     """y = A x for the seven-point operator; y has no ghosts."""
     for i in prange(1, x.shape[0] - 1):
@@ -480,7 +499,7 @@ def local_product(x: Array, ta: Array, tb: Array, tc: Array, diagonal: Array, y:
                 yr[k - 1] = dr[k] * xr[k] - near
 
 
-@_by_size
+@by_size
 def add_to(x: Array, d: Array) -> None:
     """x += d."""
     for i in prange(x.shape[0]):

@@ -22,12 +22,11 @@ class LocalMultigrid:
 
     Parameters
     ----------
-    capacity : array (nx, ny, nz)
-        Relative volume of the cells of the finest *lattice*, 0 for cells that are no unknowns.
     sink : array (nx, ny, nz)
         Row sums of the operator, >= 0.
-    conductance : tuple of float
-        D / dx_a^2 per axis, 1/s.
+    faces : per axis, array with one entry more along that axis
+        Conductances t between neighbouring cells, 1/s, the box's own borders included (where
+        they are not used: a single process holds the whole lattice).
     spacing : tuple of float
         Cell size per axis, m.
     coarsest_start : float or sequence
@@ -37,19 +36,13 @@ class LocalMultigrid:
 
     def __init__(
         self,
-        capacity: np.ndarray,
         sink: np.ndarray,
-        conductance: Sequence[float],
+        faces: Sequence[np.ndarray],
         spacing: Sequence[float],
         coarsest_start: float | np.ndarray = 0.0,
     ) -> None:
-        t = []
-        for a in range(3):
-            face = np.zeros_like(capacity)
-            here, after = [slice(None)] * 3, [slice(None)] * 3
-            here[a], after[a] = slice(0, -1), slice(1, None)
-            face[tuple(here)] = conductance[a] * capacity[tuple(here)] * capacity[tuple(after)]
-            t.append(face)
+        # Of a cell, the face to its successor.
+        t = [face[(slice(None),) * a + (slice(1, None),)] for a, face in enumerate(faces)]
         self.factors = np.ones(3, np.int64)
         before, between = coarsening_plan(sink.shape, spacing, coarsest_start)
         for grow in before:

@@ -1,10 +1,18 @@
-"""Nonlocal sums over a lattice as operators: apply, pad, restrict; direct or by FFT.
+"""Nonlocal operators on a lattice, matrix-free: bond sums and what they are made into.
 
 Fields live in *padded* arrays: three axes (a one- or two-dimensional lattice uses the last ones),
 a ghost margin of the stencil's reach on each side, zero in the ghosts.
+
+An `Operator` is (A u)_i = d_i u_i - sum_j k_ij u_j on the nodes that are unknown.  Convolution
+(k_ij = l_i w_ij r_j) and sums of convolutions are here; conductances of single bonds, broken bonds,
+tensors and one-sided stencils are in peri.schemes.
 """
 
 from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import fft
@@ -71,6 +79,21 @@ class NonlocalSum:
         if method == "fft":
             self._transform = self._fft_symbol()
 
+    @property
+    def rows(self) -> tuple[np.ndarray, np.ndarray, tuple[int, ...]]:
+        """The rows with work, and the reach: what the compiled loops over rows take."""
+        return self.low, self.high, self.reach
+
+    @property
+    def tiles(self) -> np.ndarray:
+        """(nt, 3) blocks of rows with work, for the compiled loops over tiles."""
+        return self._tiles
+
+    @property
+    def spacing(self) -> tuple[float, ...]:
+        """Node distance on three axes, m (1 along the axes that the lattice lacks)."""
+        return (1.0,) * (3 - len(self.stencil.spacing)) + self.stencil.spacing
+
     def pad(self, values: np.ndarray) -> np.ndarray:
         """A padded copy of a lattice array."""
         out = np.zeros(self.padded_shape)
@@ -112,6 +135,229 @@ class NonlocalSum:
         wrapped[grids] = values
         symbol = fft.rfftn(wrapped, workers=-1)
         return symbol.real if min(self._signs) > 0 else symbol
+
+
+@dataclass(frozen=True)
+class LocalCoefficients:
+    """The local operator that a nonlocal one tends to for long waves: sink u - div(t grad u).
+
+    sink : (nx, ny, nz) row sums, >= 0.
+    faces : per axis, (nx + 1, ny, nz), (nx, ny + 1, nz), (nx, ny, nz + 1): conductances between
+        neighbouring nodes, those to the nodes beside a block included; 0 at the lattice's ends.
+    scale : padded array, optional
+        s with diag(s) A diag(1/s) symmetric: the coefficients are then those of that operator.
+    """
+
+    sink: np.ndarray
+    faces: list[np.ndarray]
+    scale: np.ndarray | None = None
+
+
+class Operator(ABC):
+    """(A u)_i = d_i u_i - sum_j k_ij u_j on the unknown nodes i, zero elsewhere; matrix-free.
+
+    Parameters
+    ----------
+    bond_sum : NonlocalSum
+        Lattice, rows with work, padding and processes.
+    unknown : padded array
+        1 on the nodes whose equation this is, 0 elsewhere.
+    diagonal : padded array
+        d_i.
+    symmetric : bool
+        Whether k_ij = k_ji among the unknown nodes.
+
+    right : padded array or None
+        r of an operator with k_ij = l_i w_ij r_j: solvers hand r u to `apply` at no cost.
+    """
+
+    right: np.ndarray | None = None
+
+    def __init__(
+        self, bond_sum: NonlocalSum, unknown: np.ndarray, diagonal: np.ndarray, symmetric: bool
+    ) -> None:
+        self.sum, self.unknown, self._diagonal = bond_sum, unknown, diagonal
+        self.symmetric = symmetric
+
+    @abstractmethod
+    def gain(self, u: np.ndarray, out: np.ndarray) -> np.ndarray:
+        """out_i = sum_j k_ij u_j on the unknown nodes, for any padded u (held nodes included)."""
+
+    @abstractmethod
+    def faces(self) -> list[np.ndarray]:
+        """Conductances of LocalCoefficients between unknown nodes."""
+
+    def apply(self, u: np.ndarray, out: np.ndarray, scaled: np.ndarray | None = None) -> float:
+        """out = A u for u that is zero off the unknowns; returns this process's u . A u.
+
+        scaled : `right` times u, where the caller has it.
+        """
+        self.gain(u, out)
+        products = kernels.diffusion_rows(u, out, self.unknown, self._diagonal, 1.0, *self.sum.rows)
+        return float(products.sum())
+
+    def diagonal(self) -> np.ndarray:
+        """d_i, padded; zero off the unknowns."""
+        return self.unknown * self._diagonal
+
+    def row_sums(self) -> np.ndarray:
+        """(A 1)_i over the unknown nodes, padded: what a node exchanges with held ones."""
+        out = np.zeros(self.sum.padded_shape)
+        self.apply(self.unknown, out)
+        return out * self.unknown
+
+    def local(self) -> LocalCoefficients:
+        """The local operator of the same coefficients, for the preconditioner."""
+        sink = np.maximum(self.row_sums()[self.sum.interior], 0.0)
+        return LocalCoefficients(sink, self.faces())
+
+
+class Convolution(Operator):
+    """k_ij = coefficient l_i w_ij r_j: one fast sum a product; symmetric where l is r.
+
+    (A u)_i = l_i (diagonal_i u_i - coefficient sum_j w_ij r_j u_j).  For every positive l, r the
+    operator is similar to a symmetric one (scale s = sqrt(r / l)), which preconditions it.
+
+    Parameters
+    ----------
+    bond_sum : NonlocalSum
+    left : padded array
+        l_i, zero off the unknowns.
+    right : padded array, optional
+        r_j; positive on the unknowns, and on held nodes where `gain` is asked for their share.
+        By default `left`.
+    diagonal : padded array, optional
+        By default coefficient sum_j w_ij r_j: nothing happens to a uniform field.
+    coefficient : float
+        Times the stencil's weights (a diffusivity, m^2/s, gives k in 1/s).
+    """
+
+    def __init__(
+        self,
+        bond_sum: NonlocalSum,
+        left: np.ndarray,
+        right: np.ndarray | None = None,
+        diagonal: np.ndarray | None = None,
+        coefficient: float = 1.0,
+    ) -> None:
+        right = left if right is None else right
+        if diagonal is None:
+            diagonal = coefficient * bond_sum(right)
+        super().__init__(bond_sum, (left > 0).astype(float), diagonal, left is right)
+        self.left, self.right, self.coefficient = left, right, coefficient
+        self._middle = left if right is left else np.sqrt(left * right * self.unknown)
+
+    def gain(self, u: np.ndarray, out: np.ndarray) -> np.ndarray:
+        self.sum(self.right * u, out)
+        out *= self.coefficient * self.left
+        return out
+
+    def apply(self, u: np.ndarray, out: np.ndarray, scaled: np.ndarray | None = None) -> float:
+        self.sum(self.right * u if scaled is None else scaled, out)
+        products = kernels.diffusion_rows(
+            u, out, self.left, self._diagonal, self.coefficient, *self.sum.rows
+        )
+        return float(products.sum())
+
+    def diagonal(self) -> np.ndarray:
+        return self.left * self._diagonal
+
+    def faces(self) -> list[np.ndarray]:
+        return product_faces(self.sum, self._middle, self._middle, self.coefficient)
+
+    def local(self) -> LocalCoefficients:
+        if self.symmetric:
+            return super().local()
+        # With m = sqrt(l r) and s = sqrt(r / l), s A / s couples by m_i w_ij m_j.
+        sink = self.diagonal() - self.coefficient * self._middle * self.sum(self._middle)
+        scale = np.where(self.unknown > 0, self._middle, 1.0)
+        scale = scale / np.where(self.unknown > 0, self.left, 1.0)
+        sink = np.maximum((sink * self.unknown)[self.sum.interior], 0.0)
+        return LocalCoefficients(sink, self.faces(), scale)
+
+
+class ConvolutionSum(Operator):
+    """A sum of convolutions over the same unknowns: k_ij = sum_r l^r_i w^r_ij r^r_j.
+
+    Mean conductances are two of them (see peri.schemes.bonds).
+
+    Parameters
+    ----------
+    terms : sequence of Convolution
+        On one lattice; their stencils may differ (in reach, too, if each has its own NonlocalSum
+        of the same padding, i.e. the same stencil shape).
+    symmetric : bool
+        What the caller knows of the sum.
+
+    Raises
+    ------
+    ValueError
+        If the terms differ in their unknowns or there are none.
+    """
+
+    def __init__(self, terms: Sequence[Convolution], symmetric: bool) -> None:
+        if not terms:
+            raise ValueError("terms: none; a sum of convolutions needs at least one")
+        first = terms[0]
+        for term in terms[1:]:
+            if not np.array_equal(term.unknown, first.unknown):
+                raise ValueError("terms: they differ in the nodes where `left` is positive")
+        diagonal = sum(term.diagonal() for term in terms)
+        super().__init__(first.sum, first.unknown, np.asarray(diagonal), symmetric)
+        self.terms = list(terms)
+        self._part = np.zeros(first.sum.padded_shape)
+
+    def gain(self, u: np.ndarray, out: np.ndarray) -> np.ndarray:
+        self.terms[0].gain(u, out)
+        for term in self.terms[1:]:
+            out += term.gain(u, self._part)
+        return out
+
+    def faces(self) -> list[np.ndarray]:
+        parts = [
+            product_faces(term.sum, term.left, term.unknown * term.right, term.coefficient)
+            for term in self.terms
+        ]
+        return [np.sum(along, axis=0) for along in zip(*parts, strict=True)]
+
+
+def product_faces(
+    bond_sum: NonlocalSum, one: np.ndarray, other: np.ndarray, coefficient: float
+) -> list[np.ndarray]:
+    """coefficient / h_a^2 (one_i other_j + one_j other_i) / 2 between neighbours, per axis."""
+
+    def product(low: np.ndarray, high: np.ndarray, conductance: float) -> np.ndarray:
+        return conductance * low[0] * high[0]
+
+    def mean_product(low: np.ndarray, high: np.ndarray, conductance: float) -> np.ndarray:
+        return conductance * 0.5 * (low[0] * high[1] + low[1] * high[0])
+
+    same = one is other
+    fields = [beside(bond_sum, v) for v in ((one,) if same else (one, other))]
+    out = []
+    for a, h in enumerate(bond_sum.spacing):
+        low, high = zip(*(neighbours(f, a) for f in fields), strict=True)
+        out.append((product if same else mean_product)(low, high, coefficient / h**2))
+    return out
+
+
+def beside(bond_sum: NonlocalSum, values: np.ndarray) -> np.ndarray:
+    """A padded field's interior with one layer around: the neighbouring block's values, or zero."""
+    filled = bond_sum.processes.with_ghosts(values, bond_sum.window)
+    layer, missing = [], []
+    for r, n in zip(bond_sum.reach, bond_sum.shape, strict=True):
+        width = min(r, 1)
+        layer.append(slice(r - width, r + n + width))
+        missing.append((1 - width, 1 - width))
+    return np.pad(filled[tuple(layer)], missing)
+
+
+def neighbours(layered: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
+    """Values on both sides of the faces across an axis, of a field with one layer around."""
+    inside = [slice(1, -1)] * 3
+    low, high = list(inside), list(inside)
+    low[axis], high[axis] = slice(0, -1), slice(1, None)
+    return layered[tuple(low)], layered[tuple(high)]
 
 
 def _row_ranges(active: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

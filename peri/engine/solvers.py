@@ -1,4 +1,4 @@
-"""Conjugate gradients for shifted nonlocal diffusion, with a two-scale preconditioner.
+"""Krylov solvers for shifted nonlocal operators, with a two-scale preconditioner.
 
 The symbol of the nonlocal operator is D|k|^2 for long waves and levels off at the bond sum for
 short ones, so 1/symbol is close to 1/(D|k|^2) + 1/(bond sum).  The preconditioner is that sum:
@@ -15,16 +15,219 @@ import numpy as np
 
 from peri.engine import kernels
 from peri.engine.multigrid import LocalMultigrid
-from peri.engine.operators import NonlocalSum
+from peri.engine.operators import Convolution, LocalCoefficients, NonlocalSum, Operator
 
 log = logging.getLogger(__name__)
+
+Extra = Callable[[np.ndarray, np.ndarray], float]
 
 
 class ConvergenceError(ArithmeticError):
     """The linear solver did not reach its tolerance; the message says how far it came."""
 
 
-class DiffusionSystem:
+class LinearSystem:
+    """(A + shift + extra) u = b on the unknown nodes: conjugate gradients, or BiCGSTAB.
+
+    Conjugate gradients where the matrix is symmetric (it must be positive definite, too),
+    BiCGSTAB otherwise; both with the preconditioner of this file's head.
+
+    Parameters
+    ----------
+    operator : Operator
+    shift : padded array, optional
+        What is added to the diagonal, such as a cell's storage c_i / tau.
+    sink : padded array, optional
+        Row sums of the whole matrix, where the caller knows them better than by cancellation; by
+        default the operator's, plus `shift` and `extra_diagonal`.
+    extra : callable(u, y), optional
+        Adds a further term to y in place and returns its share of u . A u.
+    extra_diagonal : padded array, optional
+        Diagonal of that term.
+    symmetric : bool, optional
+        By default what the operator says; False for an `extra` that is not symmetric.
+    """
+
+    def __init__(
+        self,
+        operator: Operator,
+        *,
+        shift: np.ndarray | None = None,
+        sink: np.ndarray | None = None,
+        extra: Extra | None = None,
+        extra_diagonal: np.ndarray | None = None,
+        symmetric: bool | None = None,
+    ) -> None:
+        self.operator, self.sum = operator, operator.sum
+        self.shift, self.extra = shift, extra
+        self.symmetric = operator.symmetric if symmetric is None else symmetric
+        self.processes = self.sum.processes
+        self.mask = operator.unknown
+        full = operator.diagonal()
+        for part in (shift, extra_diagonal):
+            if part is not None:
+                full = full + part
+        inverse = np.where(full > 0, 1.0 / np.where(full > 0, full, 1.0), 0.0)
+        if sink is None:
+            local = operator.local()
+            row_sums = local.sink
+            for part in (shift, extra_diagonal):
+                if part is not None:
+                    row_sums = row_sums + (part * self.mask)[self.sum.interior]
+        else:
+            row_sums = (sink * self.mask)[self.sum.interior]
+            local = LocalCoefficients(row_sums, operator.faces())
+        self._scale, self._inverse, self._unscale = local.scale, inverse, self.mask
+        if local.scale is not None:
+            self._inverse, self._unscale = inverse * local.scale, self.mask / local.scale
+        self.multigrid = (self.processes.multigrid or LocalMultigrid)(
+            row_sums,
+            local.faces,
+            self.sum.spacing,
+            coarsest_start=0.5 * np.multiply(self.sum.spacing, self.sum.reach),
+        )
+        self._work = [np.zeros(self.sum.padded_shape) for _ in range(4 if self.symmetric else 8)]
+
+    def apply(self, u: np.ndarray, y: np.ndarray, q: np.ndarray | None = None) -> float:
+        """y = A u, for u that is zero off the unknowns; returns u . A u.
+
+        q : the operator's `right` times u, where the caller has it.
+        """
+        product = self.operator.apply(u, y, q)
+        if self.shift is not None:
+            product += float(kernels.add_shift(u, y, self.shift, *self.sum.rows).sum())
+        if self.extra is not None:
+            product += self.extra(u, y)
+        return self.processes.total(product)
+
+    def residual(self, x: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """b - A x on the unknown nodes (a new padded array), x zero elsewhere."""
+        out = np.zeros(self.sum.padded_shape)
+        self.apply(x, out)
+        return (b - out) * self.mask
+
+    def precondition(self, r: np.ndarray, z: np.ndarray) -> float:
+        """z = B r; returns r . z."""
+        self.multigrid.restrict(r if self._scale is None else self._scale * r, self.sum.reach)
+        coarse = self.multigrid.cycle()
+        product = kernels.add_diagonal_and_coarse(
+            r,
+            self._inverse,
+            coarse,
+            tuple(int(f) for f in self.multigrid.factors),
+            self._unscale,
+            z,
+            *self.sum.rows,
+        ).sum()
+        return self.processes.total(product)
+
+    def solve(
+        self, x: np.ndarray, r: np.ndarray, absolute: float, maximum_iterations: int = 200
+    ) -> int:
+        """Improve x in place until the residual norm is at most `absolute`.
+
+        r : padded residual b - A x of the starting value, zero off the unknowns; overwritten.
+        Returns the number of iterations (of BiCGSTAB: each two products).  Raises
+        ConvergenceError.
+        """
+        method = self._conjugate_gradients if self.symmetric else self._bicgstab
+        return method(x, r, absolute, maximum_iterations)
+
+    def _conjugate_gradients(
+        self, x: np.ndarray, r: np.ndarray, absolute: float, maximum_iterations: int
+    ) -> int:
+        z, p, q, y = self._work
+        p[:] = 0.0
+        total, rows = self.processes.total, self.sum.rows
+        right = self.mask if self.operator.right is None else self.operator.right
+        norm = self._norm(r)
+        rho_old, iterations = 1.0, 0
+        while not norm <= absolute:
+            self._check(norm, iterations, maximum_iterations, absolute)
+            rho = self.precondition(r, z)
+            kernels.next_direction(z, p, right, q, rho / rho_old if iterations else 0.0, *rows)
+            curvature = self.apply(p, y, q)
+            squares = kernels.advance_solution(x, r, p, y, rho / curvature, *rows).sum()
+            norm = float(np.sqrt(total(squares)))
+            rho_old = rho
+            iterations += 1
+        return iterations
+
+    def _bicgstab(
+        self, x: np.ndarray, r: np.ndarray, absolute: float, maximum_iterations: int
+    ) -> int:
+        """Van der Vorst 1992, preconditioned from the right; starts afresh when it breaks down.
+
+        The residual is updated, not recomputed; it is checked against A x in the end, and the
+        iteration goes on from the true one if they differ.
+        """
+        p, v, p_hat, s_hat, t, shadow, b, y = self._work
+        self.apply(x, y)
+        np.add(r, y, out=b)
+        norm, iterations, fresh = self._norm(r), 0, True
+        rho_old = alpha = omega = 1.0
+        while True:
+            if norm <= absolute:
+                self.apply(x, y)
+                np.subtract(b, y, out=r)
+                r *= self.mask
+                norm = self._norm(r)
+                if norm <= 2 * absolute:
+                    return iterations
+                fresh = True
+            self._check(norm, iterations, maximum_iterations, absolute)
+            if fresh:
+                shadow[:] = r
+                p[:] = v[:] = 0.0
+                rho_old = alpha = omega = 1.0
+            rho = self._dot(shadow, r)
+            beta = rho / rho_old * alpha / omega
+            p -= omega * v
+            p *= beta
+            p += r
+            self.precondition(p, p_hat)
+            self.apply(p_hat, v)
+            along = self._dot(shadow, v)
+            if along == 0.0:
+                fresh = self._restart(fresh, norm, iterations, absolute)
+                continue
+            alpha = rho / along
+            r -= alpha * v
+            self.precondition(r, s_hat)
+            self.apply(s_hat, t)
+            square = self._dot(t, t)
+            omega = self._dot(t, r) / square if square > 0 else 0.0
+            x += alpha * p_hat
+            x += omega * s_hat
+            r -= omega * t
+            norm, rho_old = self._norm(r), rho
+            iterations += 1
+            # Too little left of the direction, or no step along the residual: start afresh.
+            fresh = omega == 0.0 or abs(rho) <= 1e-14 * norm * self._norm(shadow)
+
+    def _restart(self, fresh: bool, norm: float, iterations: int, absolute: float) -> bool:
+        if fresh:
+            raise ConvergenceError(
+                f"linear solver: breakdown at a residual of {norm:.3g} after {iterations} "
+                f"iterations, {absolute:.3g} wanted"
+            )
+        return True
+
+    def _check(self, norm: float, iterations: int, maximum: int, absolute: float) -> None:
+        if not np.isfinite(norm) or iterations == maximum:
+            raise ConvergenceError(
+                f"linear solver: residual {norm:.3g} after {iterations} iterations, "
+                f"{absolute:.3g} wanted"
+            )
+
+    def _dot(self, a: np.ndarray, b: np.ndarray) -> float:
+        return self.processes.total(float(kernels.inner_product(a, b).sum()))
+
+    def _norm(self, a: np.ndarray) -> float:
+        return float(np.sqrt(self.processes.total(kernels.inner_product(a, a).sum())))
+
+
+class DiffusionSystem(LinearSystem):
     """The symmetric positive definite system of one implicit diffusion stage.
 
     (A u)_i = weight_i (diagonal_i u_i - D sum_j w_ij weight_j u_j) + extra(u)_i, weight the
@@ -51,86 +254,13 @@ class DiffusionSystem:
         diagonal: np.ndarray,
         diffusivity: float,
         sink: np.ndarray,
-        extra: Callable[[np.ndarray, np.ndarray], float] | None = None,
+        extra: Extra | None = None,
         extra_diagonal: np.ndarray | None = None,
     ) -> None:
-        self.sum, self.weight, self.diagonal = bond_sum, weight, diagonal
-        self.diffusivity, self.extra = diffusivity, extra
-        full = weight * diagonal
-        if extra_diagonal is not None:
-            full = full + extra_diagonal
-        self.mask = (weight > 0).astype(float)
-        self.inverse = np.where(full > 0, 1.0 / np.where(full > 0, full, 1.0), 0.0)
-        spacing = (1.0,) * (3 - len(bond_sum.stencil.spacing)) + bond_sum.stencil.spacing
-        horizon = np.multiply(spacing, bond_sum.reach)
-        self.processes = bond_sum.processes
-        self.multigrid = (self.processes.multigrid or LocalMultigrid)(
-            weight[bond_sum.interior],
-            (sink * self.mask)[bond_sum.interior],
-            [diffusivity / h**2 for h in spacing],
-            spacing,
-            coarsest_start=0.5 * horizon,
+        self.weight, self.diagonal = weight, diagonal
+        super().__init__(
+            Convolution(bond_sum, weight, diagonal=diagonal, coefficient=diffusivity),
+            sink=sink,
+            extra=extra,
+            extra_diagonal=extra_diagonal,
         )
-        self._work = [np.zeros(bond_sum.padded_shape) for _ in range(4)]
-
-    @property
-    def _rows(self) -> tuple[np.ndarray, np.ndarray, tuple[int, ...]]:
-        return self.sum.low, self.sum.high, self.sum.reach
-
-    def apply(self, u: np.ndarray, y: np.ndarray, q: np.ndarray) -> float:
-        """y = A u for q = weight u; returns u . A u."""
-        self.sum(q, y)
-        product = kernels.diffusion_rows(
-            u, y, self.weight, self.diagonal, self.diffusivity, *self._rows
-        ).sum()
-        if self.extra is not None:
-            product += self.extra(u, y)
-        return self.processes.total(product)
-
-    def precondition(self, r: np.ndarray, z: np.ndarray) -> float:
-        """z = B r; returns r . z."""
-        self.multigrid.restrict(r, self.sum.reach)
-        coarse = self.multigrid.cycle()
-        product = kernels.add_diagonal_and_coarse(
-            r,
-            self.inverse,
-            coarse,
-            tuple(int(f) for f in self.multigrid.factors),
-            self.mask,
-            z,
-            *self._rows,
-        ).sum()
-        return self.processes.total(product)
-
-    def solve(
-        self, x: np.ndarray, r: np.ndarray, absolute: float, maximum_iterations: int = 200
-    ) -> int:
-        """Improve x in place until the residual norm is at most `absolute`.
-
-        r : padded residual b - A x of the starting value, zero off the unknowns; overwritten.
-        Returns the number of iterations.  Raises ConvergenceError.
-        """
-        z, p, q, y = self._work
-        p[:] = 0.0
-        total = self.processes.total
-        norm = float(np.sqrt(total(kernels.inner_product(r, r).sum())))
-        rho_old, iterations = 1.0, 0
-        while not norm <= absolute:
-            if not np.isfinite(norm) or iterations == maximum_iterations:
-                raise ConvergenceError(
-                    f"linear solver: residual {norm:.3g} after {iterations} iterations, "
-                    f"{absolute:.3g} wanted"
-                )
-            rho = self.precondition(r, z)
-            kernels.next_direction(
-                z, p, self.weight, q, rho / rho_old if iterations else 0.0, *self._rows
-            )
-            curvature = self.apply(p, y, q)
-            norm = float(
-                np.sqrt(
-                    total(kernels.advance_solution(x, r, p, y, rho / curvature, *self._rows).sum())
-                )
-            )
-            rho_old = rho
-            iterations += 1
-        return iterations

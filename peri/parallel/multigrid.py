@@ -96,9 +96,8 @@ class Multigrid:
     Parameters : as for engine.multigrid.LocalMultigrid; arrays without margins.
     """
 
-    def __init__(self, ranks, capacity, sink, conductance, spacing, coarsest_start) -> None:
+    def __init__(self, ranks, sink, faces, spacing, coarsest_start) -> None:
         before, between = coarsening_plan(ranks.shape3, spacing, coarsest_start)
-        faces = _faces(ranks, capacity, conductance)
         factors = np.ones(3, np.int64)
         for grow in before:
             wider = factors * np.where(grow, 2, 1)
@@ -265,23 +264,6 @@ def _diagonal(sink: np.ndarray, faces: list[np.ndarray]) -> np.ndarray:
         n = face.shape[a] - 1
         out += np.take(face, range(n), axis=a) + np.take(face, range(1, n + 1), axis=a)
     return np.where(out > 0, out, 1.0)
-
-
-def _faces(ranks, capacity: np.ndarray, conductance) -> list[np.ndarray]:
-    """Conductances D / dx^2 times both cells' volumes, across the block's own borders too."""
-    grid = ranks.grid
-    grid.own[:] = capacity
-    layer = tuple(
-        slice(m - 1, m + n + 1) if m else slice(None)
-        for m, n in zip(grid.margin, capacity.shape, strict=True)
-    )
-    volume = np.pad(grid.update()[layer], [(0, 0) if m else (1, 1) for m in grid.margin])
-    faces = []
-    for a, factor in enumerate(conductance):
-        cells = [slice(1, -1)] * 3
-        low, high = (cells[:a] + [s] + cells[a + 1 :] for s in (slice(0, -1), slice(1, None)))
-        faces.append(factor * volume[tuple(low)] * volume[tuple(high)])
-    return faces
 
 
 def _coarsen(sink: np.ndarray, faces: list[np.ndarray], grow) -> tuple:

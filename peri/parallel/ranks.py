@@ -137,7 +137,7 @@ class Ranks(OneProcess):
 
     # --- preconditioner -------------------------------------------------------------------
 
-    def multigrid(self, capacity, sink, conductance, spacing, coarsest_start) -> Multigrid:
+    def multigrid(self, sink, faces, spacing, coarsest_start) -> Multigrid:
         """PETSc's multigrid in place of engine.multigrid.LocalMultigrid (same arguments).
 
         One at a time: a new one closes the one before, on all ranks together (Python's garbage
@@ -145,7 +145,7 @@ class Ranks(OneProcess):
         """
         if self._multigrid is not None:
             self._multigrid.close()
-        self._multigrid = Multigrid(self, capacity, sink, conductance, spacing, coarsest_start)
+        self._multigrid = Multigrid(self, sink, faces, spacing, coarsest_start)
         return self._multigrid
 
     def level(self, factors: np.ndarray) -> Ghosts | None:

@@ -44,7 +44,12 @@ def test_the_cycle_is_symmetric_positive_and_near_the_inverse(shape, spacing, si
     capacity[shape[0] // 2, shape[1] // 3 :, shape[2] // 3 : shape[2] // 2] = 0.0
     conductance = [1.0 / h**2 for h in spacing]
     sinks = sink * capacity * rng.uniform(0.5, 1.5, shape)
-    multigrid = LocalMultigrid(capacity, sinks, conductance, spacing)
+    faces = []
+    for a in range(3):
+        around = np.pad(capacity, [(int(b == a),) * 2 for b in range(3)])
+        low, high = (np.take(around, range(s, around.shape[a] - 1 + s), axis=a) for s in (0, 1))
+        faces.append(conductance[a] * low * high)
+    multigrid = LocalMultigrid(sinks, faces, spacing)
     assert len(multigrid.levels) > 1
     cells = np.flatnonzero(capacity)
     inner = (slice(1, -1),) * 3
@@ -193,6 +198,7 @@ def test_compiled_loops_are_the_plain_python_loops():
     calls = {
         "next_direction": (field(), field(), field(), field(), 0.3, *ranges),
         "diffusion_rows": (field(), field(), field(), field(), 0.7, *ranges),
+        "add_shift": (field(), field(), field(), *ranges),
         "advance_solution": (field(), field(), field(), field(), 0.2, *ranges),
         "add_diagonal_and_coarse": (
             field(), field(), level(), (1, 1, 1), field(), field(), *ranges,
