@@ -16,9 +16,11 @@ from fem.discretisation import Discretisation
 STRENGTH_LEFT = 0.05
 """Largest share 1 - q1 f* of the strength that a torn cell may still have."""
 STRETCH = 2.0
-"""Principal stretch that such a cell exceeds, at one of its points at least."""
+"""Principal stretch from which on a cell with at most STRENGTH_LEFT counts as torn; one point
+of the cell suffices."""
 STRETCH_ANY = 5.0
-"""The same of a cell of any strength: no metal is drawn out to five times its length."""
+"""Principal stretch from which on every cell counts as torn, however strong: no metal is drawn out
+to five times its length."""
 
 
 def torn_cells(

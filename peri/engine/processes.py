@@ -18,7 +18,8 @@ import numpy as np
 T = TypeVar("T")
 
 _IMBALANCE = 0.1
-"""A cut may lie this share of a block's width off its best place to suit the coarse levels."""
+"""How far a cut between two blocks may move to suit the coarse levels, as a share of its width:
+a larger share gives the multigrid more common levels and the ranks less even work."""
 
 
 class OneProcess:

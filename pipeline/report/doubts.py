@@ -1,4 +1,4 @@
-"""How sure the numbers of a run are, from what the run itself measured, and at what cost surer."""
+"""How sure the numbers of a run are, by what the run itself measured, and what less doubt costs."""
 
 import numpy as np
 

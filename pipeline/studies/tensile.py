@@ -279,12 +279,12 @@ class Setting:
 
     @property
     def error(self) -> float:
-        """Of the strength ratio, mesh and increment together."""
+        """Relative error of the strength ratio: that of the mesh plus that of the increment."""
         return self.mesh_error + self.increment_error
 
     @property
     def larger_error(self) -> float:
-        """The larger one of strength ratio and peak force, with that of the increment."""
+        """Larger relative error of strength ratio and peak force, that of the increment added."""
         return max(self.mesh_error, self.force_error) + self.increment_error
 
 
