@@ -218,10 +218,14 @@ class BiMaterial:
 
         In clean liquid (the well-stirred limit) a metal node obeys C' = -lambda g(V_L) C.
         """
+        return self.base_diffusivity * self.metal_bond_sums()
+
+    def metal_bond_sums(self) -> np.ndarray:
+        """sum_{liquid j} w_ij c_j of every metal node, 1/m^2, on the lattice."""
         if self.box is None:
             return np.zeros(self.scene.lattice.shape)
-        rates = self.base_diffusivity * self.box(self.box_liquid_volume)
-        return self.sum.crop(self.put(np.where(self.box_metal, rates, 0.0)))
+        sums = self.box(self.box_liquid_volume)
+        return self.sum.crop(self.put(np.where(self.box_metal, sums, 0.0)))
 
     # --- implicit stage -------------------------------------------------------------------
 

@@ -2,7 +2,8 @@
 
 Each law gives one factor >= 0 that multiplies the interface diffusivity (or dissolution flux)
 stated at zero volume loss.  A new law is one class with a `factor` method and an entry in
-KINETICS.
+KINETICS; `derivatives` (of the factor, by the name of the law's parameter, and by "volume_loss")
+lets a fit follow them.  Both take one volume loss or an array of them.
 """
 
 from __future__ import annotations
@@ -25,6 +26,10 @@ class ConstantRate:
     def factor(self, volume_loss: float) -> float:
         """1 for every volume loss."""
         return 1.0
+
+    def derivatives(self, volume_loss: float) -> dict[str, float]:
+        """No parameters, no slope."""
+        return {"volume_loss": 0.0}
 
 
 @dataclass(frozen=True)
@@ -49,6 +54,11 @@ class VolumeLossLaw:
         """10^(-V_L / l)."""
         return 10.0 ** (-volume_loss / self.length)
 
+    def derivatives(self, volume_loss: float) -> dict[str, float]:
+        """By l (per unit of l) and by V_L."""
+        steepness = math.log(10) / self.length * self.factor(volume_loss)
+        return {"length": steepness * volume_loss / self.length, "volume_loss": -steepness}
+
 
 @dataclass(frozen=True)
 class Tafel:
@@ -72,6 +82,15 @@ class Tafel:
     def factor(self, volume_loss: float) -> float:
         """10^(eta / beta_a), whatever the volume loss."""
         return 10.0 ** (self.overpotential / self.slope)
+
+    def derivatives(self, volume_loss: float) -> dict[str, float]:
+        """By eta (1/V) and by beta_a (1/V)."""
+        steepness = math.log(10) / self.slope * self.factor(volume_loss)
+        return {
+            "overpotential": steepness,
+            "slope": -steepness * self.overpotential / self.slope,
+            "volume_loss": 0.0,
+        }
 
 
 @dataclass(frozen=True)
@@ -111,6 +130,24 @@ class ButlerVolmer:
         """The bracket of Eq. 3.92, whatever the volume loss."""
         anodic = self._exponent()
         return math.exp(anodic) - math.exp(-anodic * self.cathodic_transfer / self.anodic_transfer)
+
+    def derivatives(self, volume_loss: float) -> dict[str, float]:
+        """By every parameter, per unit of it."""
+        anodic = self._exponent()
+        cathodic = anodic * self.cathodic_transfer / self.anodic_transfer
+        forward, back = anodic * math.exp(anodic), cathodic * math.exp(-cathodic)
+        both = forward + back
+        scaled = self.charge_number * FARADAY / (GAS_CONSTANT * self.temperature)
+        per_volt = self.anodic_transfer * math.exp(anodic)
+        per_volt += self.cathodic_transfer * math.exp(-cathodic)
+        return {
+            "overpotential": scaled * per_volt,
+            "charge_number": both / self.charge_number,
+            "anodic_transfer": forward / self.anodic_transfer,
+            "cathodic_transfer": back / self.cathodic_transfer,
+            "temperature": -both / self.temperature,
+            "volume_loss": 0.0,
+        }
 
 
 def _factor_in_range(name: str, value: float, decades: float) -> None:

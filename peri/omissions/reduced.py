@@ -24,6 +24,9 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import ArrayLike, NDArray
 
+from peri.corrosion.bimaterial import BiMaterial
+from peri.corrosion.scene import CorrosionScene
+
 Array = NDArray[np.float64]
 
 _POINTS = 8
@@ -58,6 +61,23 @@ class RateFactor:
 
     value: Array
     slopes: Mapping[str, Array]
+
+
+def factor_of(kinetics: object) -> Callable[[Array], RateFactor]:
+    """A law of `peri.corrosion.kinetics` as `ReducedCorrosion.volume_loss` takes it.
+
+    A law without `derivatives` has no slopes.
+    """
+    derivatives = getattr(kinetics, "derivatives", lambda volume_loss: {})
+
+    def factor(volume_loss: Array) -> RateFactor:
+        slopes = derivatives(volume_loss)
+        return RateFactor(
+            np.broadcast_to(kinetics.factor(volume_loss), np.shape(volume_loss)),
+            {name: slope for name, slope in slopes.items() if name != "volume_loss"},
+        )
+
+    return factor
 
 
 @dataclass(frozen=True)
@@ -100,6 +120,17 @@ class ReducedCorrosion:
         For arrays of different lengths or negative entries.
     """
 
+    @classmethod
+    def of(cls, scene: CorrosionScene, problem: BiMaterial | None = None) -> ReducedCorrosion:
+        """That of a scene; `problem`: the scene's, as before any step, where the caller has it.
+
+        Raises ValueError for a law of the bond other than the proportional one.
+        """
+        refuse_other_laws(scene)
+        solid, saturated = scene.solid_concentration, scene.saturation_concentration
+        sums = (problem or BiMaterial(scene)).metal_bond_sums()[scene.metal]
+        return cls(sums, scene.capacity()[scene.metal], solid / (solid - saturated))
+
     def __init__(self, bond_sums: ArrayLike, volumes: ArrayLike, loss_per_dissolved: float = 1.0):
         sums, parts = np.asarray(bond_sums, float), np.asarray(volumes, float)
         if sums.shape != parts.shape or sums.ndim != 1:
@@ -117,9 +148,13 @@ class ReducedCorrosion:
 
     def loss_at(self, exposure: ArrayLike) -> Array:
         """V_L at exposures z (m^2), summed over all parts: slow, for checks and oracles."""
+        return np.minimum(1.0, self.loss_per_dissolved * self.dissolved_at(exposure))
+
+    def dissolved_at(self, exposure: ArrayLike) -> Array:
+        """Share of the metal's amount that is dissolved at exposures z (m^2)."""
         z = np.asarray(exposure, float)
-        lost = -np.expm1(-np.multiply.outer(z, self.bond_sums)) @ self.shares
-        return np.minimum(1.0, self.loss_per_dissolved * lost)
+        out = [float(self.shares @ -np.expm1(-self.bond_sums * value)) for value in z.ravel()]
+        return np.array(out).reshape(z.shape)
 
     def largest_loss(self) -> float:
         """V_L after endless time: what no liquid sees stays."""
@@ -222,6 +257,15 @@ class ReducedCorrosion:
         while len(self._tables) <= level:
             self._tables.append(_halved(self._tables[-1]))
         return self._tables[level]
+
+
+def refuse_other_laws(scene: CorrosionScene) -> None:
+    """Refuse a scene whose bonds do not carry D_int w (C_i - C_j)."""
+    if scene.dissolution != "proportional":
+        raise ValueError(
+            f"dissolution: {scene.dissolution!r}; clean liquid reduces to one equation for "
+            "'proportional' only"
+        )
 
 
 def _make_table(sums: Array, shares: Array, scale: float) -> _Table:

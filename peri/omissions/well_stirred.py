@@ -2,7 +2,7 @@
 
 Where the liquid stays far below C_sat and C_solid, a metal node obeys C_i' = -lambda_i g(V_L) C_i
 with lambda_i its interface bond sum, so C_i = C_solid exp(-lambda_i s) and s' = g(V_L(s)): the
-whole problem is one ordinary differential equation.  It serves as an oracle for every solver, and
+whole problem is one quadrature (omissions.reduced).  It serves as an oracle for every solver, and
 in place of the march where a bound on the liquid's concentration allows it (corrosion.planning).
 """
 
@@ -12,20 +12,17 @@ import time as clock
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from peri.corrosion.bimaterial import BiMaterial
 from peri.corrosion.run import HISTORY, CorrosionResult
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.marching import GAMMA
+from peri.omissions.reduced import ReducedCorrosion, factor_of, refuse_other_laws
 
 
 def well_stirred(
-    scene: CorrosionScene,
-    times: Sequence[float],
-    tolerance: float = 1e-10,
-    problem: BiMaterial | None = None,
+    scene: CorrosionScene, times: Sequence[float], problem: BiMaterial | None = None
 ) -> CorrosionResult:
     """Corrode a scene as if all liquid were clean.
 
@@ -38,8 +35,6 @@ def well_stirred(
         Saturation and liquid diffusivity play no part.
     times : sequence of float
         s, ascending, >= 0.
-    tolerance : float
-        Relative tolerance of the scalar equation.
     problem : BiMaterial, optional
         The scene's, as it was before any step, where the caller has it.
 
@@ -48,53 +43,34 @@ def well_stirred(
     CorrosionResult
         Liquid concentrations are 0; history has a hundred even times and the output times.
     """
-    _refuse_other_laws(scene)
     started = clock.perf_counter()
     times = np.asarray(times, float)
-    rates, levels, weights, volumes = _classes(scene, problem)
-    solid, saturated = scene.solid_concentration, scene.saturation_concentration
-    scale = volumes.sum() * (solid - saturated)
-
-    def loss(s: float) -> float:
-        """V_L as a function of the stretched time s."""
-        if scale == 0:
-            return 0.0
-        return min(1.0, solid * float(weights @ -np.expm1(-levels * s)) / scale)
-
-    fastest = levels.max(initial=0.0) * scene.kinetics.factor(0.0)
+    problem = problem or BiMaterial(scene)
+    reduced = ReducedCorrosion.of(scene, problem)
     moments = np.union1d(np.linspace(0.0, times[-1], 101), times)
-    stretched = np.zeros(moments.size)
-    if fastest > 0 and times[-1] > 0:
-        solution = solve_ivp(
-            lambda t, s: [scene.kinetics.factor(loss(s[0]))],
-            (0.0, times[-1]),
-            [0.0],
-            method="DOP853",
-            t_eval=moments,
-            rtol=tolerance,
-            atol=tolerance / fastest,
-        )
-        stretched = solution.y[0]
+    diffusivity = problem.base_diffusivity
+    found = reduced.volume_loss(moments, diffusivity, factor_of(scene.kinetics))
+    asked = np.searchsorted(moments, times)
+    solid, saturated = scene.solid_concentration, scene.saturation_concentration
+    sums = problem.metal_bond_sums()[scene.metal]
     concentration = np.zeros((times.size, *scene.lattice.shape))
-    for n, s in enumerate(stretched[np.searchsorted(moments, times)]):
-        concentration[n][scene.metal] = solid * np.exp(-rates * s)
-    history_loss = np.array([loss(s) for s in stretched])
-    losses = history_loss[np.searchsorted(moments, times)]
+    for n, exposure in enumerate(found.exposure[asked]):
+        concentration[n][scene.metal] = solid * np.exp(-sums * exposure)
     metal = concentration >= saturated
-    initial = scene.lattice.cell_volume * volumes.sum() * solid
-    dissolved = [solid * float(weights @ -np.expm1(-levels * s)) for s in stretched]
-    released = scene.lattice.cell_volume * np.array(dissolved)
+    volume = scene.lattice.cell_volume * float(scene.capacity()[scene.metal].sum())
+    released = volume * solid * reduced.dissolved_at(found.exposure)
     history = {name: np.zeros(moments.size) for name in HISTORY}
     history.update(
         time=moments,
         step=np.diff(moments, prepend=0.0),
-        volume_loss=history_loss,
-        metal_amount=initial - released,
+        volume_loss=found.value,
+        metal_amount=volume * solid - released,
         released_amount=released,
     )
     return CorrosionResult(
-        scene, times, concentration, metal, losses, history, clock.perf_counter() - started
-    )
+        scene, times, concentration, metal, found.value[asked], history,
+        clock.perf_counter() - started,
+    )  # fmt: skip
 
 
 def clean_march(
@@ -106,7 +82,7 @@ def clean_march(
     does, free of the error in time; the difference to `well_stirred` is that error alone.
     Valid as there, and while every step of the march was of second order.
     """
-    _refuse_other_laws(scene)
+    refuse_other_laws(scene)
     _, levels, weights, volumes = _classes(scene, problem)
     solid, saturated = scene.solid_concentration, scene.saturation_concentration
     total = volumes.sum() * (solid - saturated)
@@ -132,14 +108,6 @@ def clean_march(
         concentration = stage(concentration + (1.0 - GAMMA) * slope, GAMMA * step)
         losses.append(1.0 - (never + float(weights @ (concentration - saturated))) / total)
     return np.array(losses)
-
-
-def _refuse_other_laws(scene: CorrosionScene) -> None:
-    if scene.dissolution != "proportional":
-        raise ValueError(
-            f"dissolution: {scene.dissolution!r}; clean liquid reduces to one equation for "
-            "'proportional' only"
-        )
 
 
 def _classes(scene: CorrosionScene, problem: BiMaterial | None):

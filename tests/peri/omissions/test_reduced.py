@@ -1,12 +1,15 @@
 """Corrosion in clean liquid: the quadrature against the scalar equation, derivatives by Taylor."""
 
+import dataclasses
 import math
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from peri.omissions.reduced import RateFactor, ReducedCorrosion
+from peri.corrosion.kinetics import KINETICS, ButlerVolmer, ConstantRate, Tafel, VolumeLossLaw
+from peri.omissions.reduced import RateFactor, ReducedCorrosion, factor_of
+from tests.peri.corrosion.scenes import WEEK, clean_liquid_loss, pin
 
 DAY = 86400.0
 DIFFUSIVITY = 3e-15
@@ -156,3 +159,61 @@ def test_wrong_times_and_rates_are_refused():
         reduced.volume_loss([-1.0], DIFFUSIVITY, volume_loss_law(0.1))
     with pytest.raises(ValueError, match="diffusivity"):
         reduced.volume_loss([1.0], -1.0, volume_loss_law(0.1))
+
+
+LAWS = [
+    ConstantRate(),
+    VolumeLossLaw(0.1),
+    Tafel(0.02, 0.1),
+    ButlerVolmer(0.03, 2.0, 0.4, 0.6, 300.0),
+]
+
+
+def test_every_law_is_tested_below():
+    assert {type(law) for law in LAWS} == set(KINETICS.values())
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
+def test_every_law_against_integration_of_a_scene(law):
+    scene = pin(2, 14, saturation_concentration=0.66, kinetics=law)
+    times = [0.5 * WEEK, 8 * WEEK]
+    reduced = ReducedCorrosion.of(scene)
+    found = reduced.volume_loss(times, scene.base_interface_diffusivity(), factor_of(law))
+    exact = clean_liquid_loss(scene, times)
+    assert exact[-1] > 0.05
+    np.testing.assert_allclose(found.value, exact, rtol=1e-8)  # measured 2e-12
+
+
+@pytest.mark.parametrize(
+    ("law", "name"),
+    [(law, field.name) for law in LAWS for field in dataclasses.fields(law)],
+    ids=lambda value: value if isinstance(value, str) else type(value).__name__,
+)
+def test_every_laws_derivatives_by_taylor_slopes(law, name):
+    scene = pin(2, 14, saturation_concentration=0.66)
+    reduced, times = ReducedCorrosion.of(scene), [WEEK, 8 * WEEK]
+
+    def loss(value):
+        changed = dataclasses.replace(law, **{name: value})
+        return reduced.volume_loss(times, 1e-15, factor_of(changed))
+
+    base = getattr(law, name)
+    at = loss(base)
+    steps = base * np.array([0.08, 0.04, 0.02, 0.01])
+    left = [np.abs(loss(base + h).value - at.value - h * at.slopes[name]).max() for h in steps]
+    assert np.abs(at.slopes[name]).max() * steps[-1] > 10 * left[-1]
+    slopes = np.log2(np.array(left[:-1]) / left[1:])
+    assert np.all((slopes > 1.85) & (slopes < 2.15))  # measured 1.91 to 2.05
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
+def test_every_laws_slope_in_the_volume_loss(law):
+    losses, step = np.linspace(0.01, 0.3, 5), 1e-6
+    difference = np.subtract(law.factor(losses + step), law.factor(losses - step)) / (2 * step)
+    expected = np.broadcast_to(law.derivatives(losses)["volume_loss"], losses.shape)
+    np.testing.assert_allclose(np.broadcast_to(difference, losses.shape), expected, rtol=1e-6)
+
+
+def test_faradaic_bonds_are_refused():
+    with pytest.raises(ValueError, match="'proportional' only"):
+        ReducedCorrosion.of(pin(1, dissolution="faradaic"))
