@@ -24,6 +24,7 @@ from peri.corrosion.interface import Interface
 from peri.corrosion.scene import CorrosionScene
 from peri.engine import kernels
 from peri.engine.operators import NonlocalSum
+from peri.engine.problem import BoundsError
 from peri.engine.processes import ONE_PROCESS, OneProcess
 from peri.engine.solvers import ConvergenceError, DiffusionSystem
 
@@ -32,10 +33,6 @@ log = logging.getLogger(__name__)
 _MAXIMUM_ROUNDS = 60
 _LOSS_TOLERANCE = 1e-9
 _ROUND_REDUCTION = 0.1
-
-
-class BoundsError(ArithmeticError):
-    """A stage cannot respect 0 <= C <= C_sat (a right side outside the bounds)."""
 
 
 @dataclass
@@ -169,7 +166,7 @@ class BiMaterial:
             return 0
         count = int(self.processes.total(int(gone.sum())))
         if count:
-            self.metal &= ~gone
+            self.metal = self.metal & ~gone
             self.update_phase()
         return count
 

@@ -8,20 +8,11 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from peri.corrosion.problem import COLUMNS
+
 SCHEMA_VERSION = 1
 
-_UNITS = {
-    "time": "s",
-    "step": "s",
-    "volume_loss": "1",
-    "metal_amount": "mol",
-    "liquid_amount": "mol",
-    "released_amount": "mol",
-    "balance_error": "1",
-    "saturated_nodes": "1",
-    "dissolved_nodes": "1",
-    "iterations": "1",
-}
+_UNITS = {"time": "s", "step": "s", **COLUMNS, "iterations": "1"}
 
 
 def write_corrosion(path: Path, result) -> None:

@@ -17,7 +17,7 @@ from scipy.optimize import brentq
 from peri.corrosion.bimaterial import BiMaterial
 from peri.corrosion.run import HISTORY, CorrosionResult
 from peri.corrosion.scene import CorrosionScene
-from peri.engine.marching import GAMMA
+from peri.engine.stepping import GAMMA
 from peri.omissions.reduced import ReducedCorrosion, factor_of, refuse_other_laws
 
 

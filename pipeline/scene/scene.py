@@ -13,7 +13,7 @@ import typing
 from dataclasses import dataclass, field
 
 from fem.quadrature import ELEMENTS
-from peri.engine.marching import SCHEMES as TIME_SCHEMES
+from peri.engine.stepping import SCHEMES as TIME_SCHEMES
 from pipeline.scene.loads import LOADS
 from pipeline.scene.rate_law import read_kinetics
 from pipeline.scene.screw import ScrewParameters

@@ -6,6 +6,8 @@ import h5py
 import numpy as np
 import pytest
 
+from peri.corrosion.kinetics import VolumeLossLaw
+from peri.corrosion.problem import CorrosionProblem
 from peri.corrosion.results import (
     read_corrosion,
     write_corrosion,
@@ -13,7 +15,7 @@ from peri.corrosion.results import (
     write_image_series,
 )
 from peri.corrosion.run import HISTORY, corrode
-from peri.engine.checkpoints import CheckpointError, fingerprint, read_checkpoint, write_checkpoint
+from peri.engine.checkpoints import CheckpointError, read_checkpoint, write_checkpoint
 from peri.engine.marching import TimeStepping
 from tests.peri.corrosion.scenes import WEEK, pin
 
@@ -94,15 +96,15 @@ def test_checkpoints_know_whose_they_are(tmp_path):
 
 
 def test_fingerprint_sees_every_input():
-    step = TimeStepping()
-    base = fingerprint(pin(2, 12), [1.0], step, 1e-9)
-    assert base == fingerprint(pin(2, 12), [1.0], TimeStepping(), 1e-9)
+    def mark(tolerance=1e-9, **options):
+        return CorrosionProblem(pin(2, 12, **options), tolerance).key()
+
     others = [
-        fingerprint(pin(2, 12, saturation_concentration=1.0), [1.0], step, 1e-9),
-        fingerprint(pin(2, 12, boundary="no_flux"), [1.0], step, 1e-9),
-        fingerprint(pin(2, 12, metal=np.zeros((12, 12), bool)), [1.0], step, 1e-9),
-        fingerprint(pin(2, 12), [2.0], step, 1e-9),
-        fingerprint(pin(2, 12), [1.0], TimeStepping(rate_change=0.01), 1e-9),
-        fingerprint(pin(2, 12), [1.0], step, 1e-10),
+        mark(saturation_concentration=1.0),
+        mark(boundary="no_flux"),
+        mark(metal=np.zeros((12, 12), bool)),
+        mark(kinetics=VolumeLossLaw(0.2)),
+        mark(1e-10),
     ]
-    assert len({base, *others}) == 7
+    assert mark() == mark()
+    assert len({mark(), *others}) == 6

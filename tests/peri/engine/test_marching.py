@@ -10,7 +10,7 @@ from peri.corrosion.bimaterial import BiMaterial
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.influence import closed_constant, diffusion_stencil
 from peri.engine.lattice import Lattice, box_lattice
-from peri.engine.marching import GAMMA, TimeStepping, next_step, step_towards
+from peri.engine.stepping import GAMMA, TimeStepping, next_step, step_towards
 from tests.peri.dense import pair_matrix
 
 DIFFUSIVITY = 1e-9

@@ -1,0 +1,242 @@
+"""The bi-material problem as the engine marches it: states, measures of a step, history."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from peri.corrosion import bimaterial
+from peri.corrosion.bimaterial import BiMaterial
+from peri.corrosion.interface import late_exposure
+from peri.corrosion.scene import CorrosionScene
+from peri.engine.checkpoints import fingerprint
+from peri.engine.problem import Attempt, Fields, FirstOrder, Stage, State
+from peri.engine.processes import ONE_PROCESS, OneProcess
+
+_LATE = 4.0
+"""Weight of what a step exposes too late (or, under Faraday's law, at an estimated time)."""
+
+COLUMNS = {
+    "volume_loss": "1",
+    "metal_amount": "mol",
+    "liquid_amount": "mol",
+    "released_amount": "mol",
+    "balance_error": "1",
+    "saturated_nodes": "1",
+    "dissolved_nodes": "1",
+}
+"""What corrosion adds to a march's history, and the unit of each."""
+
+
+class CorrosionProblem(FirstOrder):
+    """A corrosion scene, discretised and ready to be marched.
+
+    Fields of its states: `concentration` (padded lattice, mol/m^3), `metal` (padded, bool) and,
+    after an implicit stage, `theta` (padded box, the saturation factors).  Numbers:
+    `volume_loss`, `released` (mol), `initial` (metal at the start, mol), `dissolved` (nodes in
+    the last step).
+
+    Parameters
+    ----------
+    scene : CorrosionScene
+        On the root; elsewhere None.
+    solver_tolerance : float
+        Relative residual of the linear solutions.
+    processes : OneProcess or its like
+
+    discrete : BiMaterial, the discrete equations.
+    """
+
+    columns = COLUMNS
+    evolved = ("concentration",)
+
+    def __init__(
+        self,
+        scene: CorrosionScene | None,
+        solver_tolerance: float = 1e-9,
+        processes: OneProcess = ONE_PROCESS,
+    ) -> None:
+        self.processes, self._whole_scene = processes, scene
+        self.discrete = BiMaterial(scene, solver_tolerance, processes)
+        self.scene = self.discrete.scene
+
+    def key(self) -> str:
+        """Hash of the scene and the solver's tolerance."""
+        return self.processes.on_root(
+            lambda: fingerprint(self._whole_scene, self.discrete.tolerance)
+        )
+
+    # --- states ---------------------------------------------------------------------------
+
+    def initial(self) -> State:
+        """Solid metal in clean liquid."""
+        discrete = self.discrete
+        concentration = discrete.initial_concentration.copy()
+        metal, _ = discrete.amounts(concentration)
+        numbers = {"volume_loss": 0.0, "released": 0.0, "initial": metal, "dissolved": 0.0}
+        fields = {"concentration": concentration, "metal": discrete.metal}
+        return State(0.0, fields, numbers)
+
+    def restore(self, state: State) -> None:
+        """Take the phases from a state."""
+        self.discrete.metal = state.fields["metal"]
+        self.discrete.update_phase()
+
+    def begin(self, state: State) -> None:
+        """Drop the preconditioner, so that a resumed march is the same."""
+        self.discrete.forget()
+
+    def pack(self, name: str, values: np.ndarray) -> np.ndarray:
+        """The whole lattice's field on the root."""
+        if name == "theta":
+            values = self.discrete.put(values)
+        return self.processes.gather(self.discrete.sum.crop(values))
+
+    def unpack(self, name: str, stored: np.ndarray | None) -> np.ndarray:
+        """This process's padded field."""
+        values = self.discrete.sum.pad(self.processes.scatter(stored))
+        if name == "metal":
+            return values > 0
+        return self.discrete.take(values) if name == "theta" else values
+
+    def accept(self, state: State, stages: Sequence[Stage], step: float) -> None:
+        """Metal that is used up turns liquid."""
+        concentration, solid = state.fields["concentration"], self.scene.solid_concentration
+        highest = solid * (1 + 1e-12)
+        if self.discrete.faradaic and self.processes.any(concentration.max() > highest):
+            raise ValueError(
+                "saturation: 'none' with dissolution 'faradaic'; the liquid fills beyond the "
+                f"metal's concentration at {state.time:.4g} s, use 'complementarity'"
+            )
+        dissolved = self.discrete.dissolve(concentration, stages[-1].extra.emptied)
+        state.fields["metal"] = self.discrete.metal
+        state.numbers["dissolved"] = dissolved
+        state.numbers["volume_loss"] = self.discrete.volume_loss(concentration)
+
+    def row(self, state: State) -> tuple[float, ...]:
+        """Amounts and their balance, nodes held at C_sat, nodes dissolved."""
+        numbers, theta = state.numbers, state.fields.get("theta")
+        metal, liquid = self.discrete.amounts(state.fields["concentration"])
+        initial = numbers["initial"]
+        error = (metal + liquid + numbers["released"] - initial) / initial if initial else 0.0
+        saturated = 0
+        if theta is not None:
+            held = (theta < 1.0) & (self.discrete.box_free_volume > 0)
+            saturated = self.processes.total(int(held.sum()))
+        released, dissolved = numbers["released"], numbers["dissolved"]
+        return (
+            numbers["volume_loss"], metal, liquid, released, error, saturated, dissolved,
+        )  # fmt: skip
+
+    def snapshot(self, state: State) -> dict[str, np.ndarray | float]:
+        """Concentrations, phases and the volume loss."""
+        return {
+            "concentration": self.pack("concentration", state.fields["concentration"]),
+            "metal": self.pack("metal", state.fields["metal"]),
+            "volume_loss": state.numbers["volume_loss"],
+        }
+
+    def describe(self, state: State) -> str:
+        """Day and volume loss."""
+        lost = 100 * state.numbers["volume_loss"]
+        return f"day {state.time / 86400:.1f}, volume loss {lost:.2f} %"
+
+    # --- stages ---------------------------------------------------------------------------
+
+    def stage(self, old: Fields, tau: float, guess: State) -> Stage:
+        """See BiMaterial.implicit_stage."""
+        solved = self.discrete.implicit_stage(
+            old["concentration"],
+            tau,
+            guess.fields["concentration"],
+            guess.fields.get("theta"),
+            guess.numbers["volume_loss"],
+        )
+        return self._stage(solved)
+
+    def explicit(self, old: State, step: float) -> Stage:
+        """See BiMaterial.explicit_step."""
+        loss = old.numbers["volume_loss"]
+        new, release, theta = self.discrete.explicit_step(old.fields["concentration"], step, loss)
+        return self._stage(bimaterial.Stage(new, theta, loss, release, 0, 1))
+
+    def _stage(self, solved: bimaterial.Stage) -> Stage:
+        fields = {"concentration": solved.concentration}
+        if solved.theta is not None:
+            fields["theta"] = solved.theta
+        numbers = {"volume_loss": solved.volume_loss}
+        rates = {"released": solved.release_rate}
+        return Stage(fields, numbers, rates, solved.iterations, solved)
+
+    def limits(self, state: State) -> tuple[float, float]:
+        """Stability of the explicit step, and the fastest metal node (1/s)."""
+        discrete = self.discrete
+        return 1.0 / max(discrete.fastest_rate(), 1e-300), discrete.fastest_rates()[1]
+
+    def pace(self, state: State) -> float:
+        """The fastest metal node's relative loss, 1/s."""
+        rate = self.processes.largest(float(self.discrete.metal_rates().max(initial=0.0)))
+        return rate * self.scene.kinetics.factor(0.0)
+
+    def bounded(self, fields: Fields) -> Fields:
+        """Concentrations from 0 to C_solid."""
+        clipped = np.clip(fields["concentration"], 0.0, self.scene.solid_concentration)
+        return {"concentration": clipped}
+
+    # --- measures of a step ---------------------------------------------------------------
+
+    def continues(self, first: Stage, right: Fields) -> bool:
+        """Under Faraday's law: whether no node is empty at the first stage or its right side."""
+        if not self.discrete.faradaic:
+            return True
+        emptied = first.extra.emptied
+        return not self.processes.any(right["concentration"].min() < 0 or emptied.any())
+
+    def admissible(self, old: State, stages: Sequence[Stage]) -> bool:
+        """Whether no metal gained, no liquid passed its bounds and (Faraday) no node is empty."""
+        if self.discrete.faradaic and self.processes.any(stages[-1].extra.emptied.any()):
+            return False
+        new, before = stages[-1].fields["concentration"], old.fields["concentration"]
+        rounding = 1e-12 * self.scene.solid_concentration
+        metal = self.discrete.metal
+        out = np.any(new[metal] > before[metal] + rounding) or new.min() < -rounding
+        if self.scene.saturation == "complementarity":
+            # The stages watch the liquid within reach of the metal; beyond it only this does.
+            liquid = new[self.discrete.free].max(initial=0.0)
+            out |= liquid > self.scene.saturation_concentration * (1 + 1e-9)
+        return not self.processes.any(out)
+
+    def change(self, attempt: Attempt) -> float:
+        """Relative change of the metal's loss rate in a step."""
+        if self.discrete.faradaic:
+            return self._faradaic_change(attempt)
+        old = attempt.old.fields["concentration"]
+        new = attempt.stages[-1].fields["concentration"]
+        change = self._relative_change(new - old, attempt.expected["concentration"])
+        late = 0.0
+        if self.discrete.box is not None:
+            late = _LATE * late_exposure(self.discrete, old, new)
+        return max(attempt.share * change, late)
+
+    def _relative_change(self, change: np.ndarray, expected: np.ndarray) -> float:
+        """Difference of the metal's change from the expected one, node by node, over their loss."""
+        discrete, total = self.discrete, self.processes.total
+        metal = discrete.metal
+        volume = discrete.capacity[metal]
+        progress = total(float((volume * np.abs(change[metal])).sum()))
+        # What the solver's tolerance moves says nothing about the rate.
+        if progress <= 0.1 * discrete.tolerance * discrete.metal_scale:
+            return 0.0
+        return total(float((volume * np.abs(change - expected)[metal]).sum())) / progress
+
+    def _faradaic_change(self, attempt: Attempt) -> float:
+        """The same in sum: a moving front hands its rate from node to node."""
+        last, loss = attempt.stages[-1], attempt.old.numbers["volume_loss"]
+        lost = last.numbers["volume_loss"] - loss
+        change = 0.0
+        if attempt.previous_step and lost > 0.1 * self.discrete.tolerance:
+            before = loss - attempt.previous.numbers["volume_loss"]
+            expected = attempt.step / attempt.previous_step * before
+            change = abs(lost - expected) / lost
+        return max(change, _LATE * last.extra.late)
