@@ -8,9 +8,8 @@ import pytest
 from peri.transport.activity import check_strength, davies, debye_hueckel
 from peri.transport.composition import CompositionError
 from peri.transport.speciation import speciate
-from peri.transport.species import Chemistry
 from tests.peri.transport import phreeqc
-from tests.peri.transport.chemistries import SALINE, SBF, chemistry
+from tests.peri.transport.chemistries import PAIRS, SALINE, SBF, chemistry, without
 
 ALL = ("brucite", "calcite", "hydroxyapatite")
 
@@ -114,27 +113,7 @@ def test_magnesium_hydroxide_raises_the_ph_as_in_phreeqc_dat(magnesium: float, p
 
 
 def test_without_ion_pairs_the_ph_is_off_by_more_than_a_tenth() -> None:
-    full = chemistry("sbf")
-
-    class Without:
-        """The same set without pairs of a cation with an anion."""
-
-        temperature, components, minerals = 310.15, full.components, {}
-        kept = ("OH", "HCO3", "CO2", "HPO4", "H2PO4")
-        charge_number = {n: full.charge[full.index(n)] for n in (*full.components, *kept)}
-        diffusivity = {n: 1e-9 for n in (*full.components, *kept)}
-        stoichiometry = {
-            n: {
-                c: int(v)
-                for c, v in zip(full.components, full.stoichiometry[full.index(n)], strict=True)
-                if v
-            }
-            for n in kept
-        }
-        water = {n: full.water[full.index(n)] for n in kept}
-        log_k = {n: full.ln_k[full.index(n)] / math.log(10) for n in kept}
-
-    bare = Chemistry(Without())
+    full, bare = chemistry("sbf"), without("sbf", PAIRS)
     assert speciate(bare, bare.totals(SBF)).ph[0] == pytest.approx(7.6948, abs=1e-3)
     assert speciate(full, full.totals(SBF)).ph[0] == pytest.approx(7.5724, abs=1e-3)
 

@@ -1,0 +1,146 @@
+"""The liquid's nodes on a lattice: bonds, linear solves, and what leaves through the boundary."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from peri.engine.influence import Stencil
+from peri.engine.operators import NonlocalSum
+from peri.engine.solvers import DiffusionSystem
+
+
+class LiquidSpace:
+    """Liquid nodes, of which some are held at the medium's composition (refreshed).
+
+    Only liquid nodes that are not refreshed are unknowns; fields over them have shape (n,).  A
+    node that no chain of bonds joins to the refreshed layer has no steady state of its own.
+
+    Parameters
+    ----------
+    stencil : Stencil
+    liquid : bool array of the lattice's shape
+    refreshed : bool array of the same shape
+    capacity : relative volume of the cells (default 1)
+
+    Attributes
+    ----------
+    n : number of unknown nodes
+    volume : (n,) their relative volumes c_i
+    cell_volume : m3 (m2, m in two and one dimensions)
+    degree : (n,) sum_j w_ij c_j over all liquid nodes, 1/m2
+    exit : (n,) the same over refreshed nodes only
+
+    Raises
+    ------
+    ValueError
+        For masks of the wrong shape.
+    """
+
+    def __init__(
+        self,
+        stencil: Stencil,
+        liquid: np.ndarray,
+        refreshed: np.ndarray,
+        capacity: np.ndarray | None = None,
+    ) -> None:
+        if liquid.shape != refreshed.shape or liquid.dtype != bool or refreshed.dtype != bool:
+            raise ValueError(
+                f"liquid {liquid.dtype} {liquid.shape}, refreshed {refreshed.dtype} "
+                f"{refreshed.shape}; both must be bool arrays of the lattice's shape"
+            )
+        self.sum = NonlocalSum(stencil, liquid.shape, liquid)
+        self.cell_volume = float(np.prod(stencil.spacing))
+        cells = np.ones(liquid.shape) if capacity is None else capacity
+        self.all_volume = self.sum.pad(np.where(liquid, cells, 0.0))
+        self._held = self.sum.pad(np.where(liquid & refreshed, 1.0, 0.0))
+        free = self.sum.pad(liquid & ~refreshed) > 0
+        self.index = np.flatnonzero(free)
+        self.n = self.index.size
+        self._free_volume = np.where(free, self.all_volume, 0.0)
+        self.volume = self._free_volume.ravel()[self.index]
+        self.degree_field = self.sum(self.all_volume)
+        self.degree = self.degree_field.ravel()[self.index]
+        self.exit = self.gather(self.sum(self.all_volume * self._held))
+
+    def gather(self, field: np.ndarray) -> np.ndarray:
+        """Return the unknown nodes' values of a padded field, (n,)."""
+        return field.ravel()[self.index]
+
+    def spread(self, values: np.ndarray, held: float = 0.0) -> np.ndarray:
+        """Return a padded field from values (n,), `held` at refreshed nodes, 0 elsewhere."""
+        field = held * self._held
+        field.ravel()[self.index] = values
+        return field
+
+    def crop(self, values: np.ndarray, held: float = 0.0, elsewhere: float = np.nan) -> np.ndarray:
+        """Return an array of the lattice's shape from values (n,)."""
+        field = np.where(self._held > 0, held, elsewhere)
+        field.ravel()[self.index] = values
+        return self.sum.crop(field)
+
+    def neighbours(self, values: np.ndarray) -> np.ndarray:
+        """Return sum_j w_ij c_j u_j of values (n,) that are zero at refreshed nodes."""
+        return self.gather(self.sum(self.all_volume * self.spread(values)))
+
+    def outflow(self, values: np.ndarray) -> np.ndarray:
+        """Return c_i (A u)_i = c_i sum_j w_ij c_j (u_i - u_j), (n,)."""
+        return self.volume * (self.degree * values - self.neighbours(values))
+
+    def total(self, values: np.ndarray) -> float:
+        """Return the integral of a field (n,) over the unknown nodes."""
+        return float(self.volume @ values) * self.cell_volume
+
+    def cut_off(self) -> np.ndarray:
+        """Return which unknown nodes no chain of bonds joins to the refreshed layer, (n,) bool."""
+        reached = self.exit > 0
+        while not reached.all():
+            grown = reached | (self.neighbours(reached.astype(float)) > 0)
+            if (grown == reached).all():
+                break
+            reached = grown
+        return ~reached
+
+    def system(
+        self, held: np.ndarray | None = None, sink: np.ndarray | None = None
+    ) -> DiffusionSystem:
+        """Return the linear system of A u + sink u, without the nodes in `held` (n,) bool.
+
+        sink : (n,), per volume, 1/m2
+        """
+        volume = self._free_volume
+        keep = np.ones(self.n, bool) if held is None else ~held
+        extra = np.zeros(self.n) if sink is None else sink
+        weight = self.spread(np.where(keep, self.volume, 0.0))
+        diagonal = self.spread(np.where(keep, self.degree + extra, 0.0))
+        exit_ = self.exit + extra
+        if held is not None and held.any():
+            gone = np.where(self.spread(held.astype(float)) > 0, volume, 0.0)
+            exit_ = exit_ + self.gather(self.sum(gone))
+        row_sums = self.spread(np.where(keep, self.volume * exit_, 0.0))
+        return DiffusionSystem(self.sum, weight, diagonal, 1.0, row_sums)
+
+    def solve(
+        self,
+        system: DiffusionSystem,
+        right: np.ndarray,
+        start: np.ndarray,
+        absolute: float,
+        maximum_iterations: int = 200,
+    ) -> tuple[np.ndarray, int]:
+        """Return u with |right - c A u| <= absolute on the system's unknowns, and iterations.
+
+        right : (n,) per cell, mol/m3/s times relative volume
+        start : (n,); values at nodes that the system holds are kept and count as given
+        """
+        held = self.gather(system.weight) == 0
+        x = self.spread(start)
+        given = np.where(held, start, 0.0)
+        residual = right - self.volume * (
+            self.gather(system.diagonal) * np.where(held, 0.0, start)
+            - self.neighbours(np.where(held, 0.0, start))
+            - self.neighbours(given)
+        )
+        field = self.spread(np.where(held, 0.0, residual))
+        unknown = x * system.mask
+        iterations = system.solve(unknown, field, absolute, maximum_iterations)
+        return np.where(held, start, self.gather(unknown)), iterations

@@ -1,0 +1,446 @@
+"""Quasi-steady transport, reaction and precipitation of a liquid around a dissolving metal.
+
+At rest the transport of every component e reads, with Pi_e = sum_k nu_ke D_k C_k,
+
+    c_i sum_j c_j w_ij (Pi_e,i - Pi_e,j) = c_i (s_e q_i + N_e,i - sum_m nu_me r_m,i),
+
+q the metal's release (mol/m3/s), s_e what it sets free of component e per mole, N_e what migration
+adds to diffusion (fluxes.py) and r_m the growth of mineral m.  The left side is linear in Pi
+whatever the equilibria, so the release is one scalar field g, each mineral one extent G_m:
+
+    Pi_e = Pi_e(medium) + s_e g + X_e - sum_m nu_me G_m,  A g = q,  A G_m = r_m,  A X_e = N_e,
+
+and the composition follows from Pi node by node (composition.py).  Transport, reactions and
+minerals are one system: solved one after the other they would be wrong by the ratio of the step
+to the liquid's relaxation time.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from peri.engine.constants import FARADAY, GAS_CONSTANT
+from peri.engine.solvers import ConvergenceError
+from peri.transport.activity import conditional_constants, mineral_constants
+from peri.transport.composition import Composer
+from peri.transport.fluxes import FLUX_FORMS, LARGEST_SQRA_STEP, largest_bond_step, migration
+from peri.transport.liquid import LiquidSpace
+from peri.transport.minerals import MineralField, solve_mineral
+from peri.transport.speciation import Solution
+from peri.transport.species import LN10, MOLAR
+
+log = logging.getLogger(__name__)
+
+CLOSURES = ("electroneutral", "poisson", "as_published", "none")
+VACUUM_PERMITTIVITY = 8.8541878128e-12
+"""F/m, CODATA 2018."""
+
+RELATIVE_PERMITTIVITY = {298.15: 78.4, 310.15: 74.2}
+PUBLISHED_CONDUCTIVITY = 6.1e6
+"""S/m, Tables 3.7 and 5.4 of the dissertation; that of a metal, kept for `as_published`."""
+
+_MAXIMUM_SWEEPS = 60
+_RESOLVED = 1e-11
+"""Share of its largest change below which a component that the medium lacks counts as absent."""
+
+
+@dataclass(frozen=True)
+class TransportOptions:
+    """How the liquid is solved.
+
+    flux_form : see fluxes.py
+    closure : "electroneutral" (default), "poisson" (with water's permittivity), "as_published"
+        (2.61, 2.64: the printed conductivity in the place of a permittivity), or "none": no
+        potential; the charge that diffusion separates is then taken up by an inert ion.
+    tolerance : residual norm of every component, relative to that of the release
+    neutrality : net charge at which the sweeps for the potential end, relative to the ionic
+        strength
+    """
+
+    flux_form: str = "sqra"
+    closure: str = "electroneutral"
+    tolerance: float = 1e-10
+    neutrality: float = 1e-12
+
+    def __post_init__(self) -> None:
+        for name, value, allowed in (
+            ("flux_form", self.flux_form, FLUX_FORMS),
+            ("closure", self.closure, CLOSURES),
+        ):
+            if value not in allowed:
+                raise ValueError(f"{name}: '{value}'; allowed are {', '.join(allowed)}")
+        for name, number in (("tolerance", self.tolerance), ("neutrality", self.neutrality)):
+            if not 0 < number < 1:
+                raise ValueError(f"{name}: {number}; it must be between 0 and 1")
+
+
+@dataclass
+class LiquidState:
+    """A quasi-steady liquid; fields (n,) over the unknown nodes of the LiquidSpace.
+
+    ln_component : (E, n) ln of the free components, mol/m3
+    release : (n,) g;  extents : (M, n) G_m;  migrated : (E, n) X_e;  all mol/m/s
+    rates : (M, n) growth of the minerals, mol/m3/s
+    psi : (n,) F phi / (R T)
+    """
+
+    ln_component: np.ndarray
+    concentration: np.ndarray
+    release: np.ndarray
+    extents: np.ndarray
+    migrated: np.ndarray
+    rates: np.ndarray
+    psi: np.ndarray
+    net_charge: np.ndarray
+    sweeps: int = 0
+    iterations: int = 0
+    active: list[np.ndarray] = field(default_factory=list)
+
+
+class QuasiSteadyLiquid:
+    """The composition of the liquid that a given release and the minerals keep up.
+
+    Parameters
+    ----------
+    space : LiquidSpace
+    medium : Solution of one node: what the refreshed layer holds; its activity coefficients hold
+        everywhere ("fixed")
+    releases : moles of each species set free per mole of metal dissolved, for instance
+        {"Mg": 1, "OH": 2}
+    surface : (n,) bool, nodes beside the metal, where minerals of the region "surface" may form
+    options : TransportOptions
+
+    Raises
+    ------
+    ValueError
+        For nodes that the refreshed layer cannot reach (they have no steady state), a medium of
+        more than one node, or a release that carries a charge.
+    """
+
+    def __init__(
+        self,
+        space: LiquidSpace,
+        medium: Solution,
+        releases: Mapping[str, float],
+        surface: np.ndarray,
+        options: TransportOptions | None = None,
+    ) -> None:
+        if medium.ln_component.shape[1] != 1:
+            raise ValueError("medium: it must be the solution of one node")
+        chemistry = medium.chemistry
+        self.space, self.medium, self.chemistry = space, medium, chemistry
+        self.options = options or TransportOptions()
+        lost = int(space.cut_off().sum())
+        if lost:
+            raise ValueError(
+                f"liquid: {lost} nodes are cut off from the refreshed medium; a quasi-steady "
+                "liquid needs a way out for what dissolves"
+            )
+        nu, d = chemistry.stoichiometry, chemistry.diffusivity
+        self.released = sum(
+            (amount * nu[chemistry.index(name)] for name, amount in releases.items()),
+            np.zeros(nu.shape[1]),
+        )
+        charge = float(self.released @ chemistry.component_charge)
+        if abs(charge) > 1e-12:
+            raise ValueError(
+                f"releases: they carry a charge of {charge:+g} per mole of metal; what an anode "
+                "and its cathode set free together is neutral"
+            )
+        self.b = conditional_constants(chemistry, medium.ln_gamma, medium.ln_water)
+        self._mineral_constant = mineral_constants(chemistry, medium.ln_gamma, medium.ln_water)
+        self.composer = Composer(nu, d)
+        self.bulk = (nu.T @ (d * medium.concentration[:, 0]))[:, None]
+        self.minerals = [
+            MineralField(
+                mineral.name,
+                mineral.stoichiometry,
+                float(self._mineral_constant[i, 0]),
+                np.ones(space.n, bool) if mineral.region == "liquid" else surface,
+                mineral.rate,
+                LN10 * mineral.nucleation_index,
+            )
+            for i, mineral in enumerate(chemistry.minerals)
+        ]
+        self._groups = self._charge_groups()
+        self._system = space.system()
+        self.inert = self._inert()
+
+    def _charge_groups(self) -> list[tuple[int, float, np.ndarray]]:
+        """Per component and charge number: the weights nu_ke D_k of the species that carry it."""
+        nu, z, d = self.chemistry.stoichiometry, self.chemistry.charge, self.chemistry.diffusivity
+        groups = []
+        for e in range(nu.shape[1]):
+            for charge in np.unique(z[(nu[:, e] != 0) & (z != 0)]):
+                groups.append((e, float(charge), np.where(z == charge, nu[:, e] * d, 0.0)))
+        return groups
+
+    def _inert(self) -> int:
+        """The most abundant ion that takes part in no reaction; -1 where there is none."""
+        nu, z = self.chemistry.stoichiometry, self.chemistry.charge
+        alone = (nu != 0).sum(axis=0) == 1
+        content = self.medium.concentration[: alone.size, 0] * alone * (z[: alone.size] != 0)
+        return int(np.argmax(content)) if content.max() > 0 else -1
+
+    def rest(self) -> LiquidState:
+        """The medium everywhere: the state to start from."""
+        n, e = self.space.n, len(self.chemistry.components)
+        m = np.repeat(self.medium.ln_component, n, axis=1)
+        zero, none = np.zeros(n), np.zeros((len(self.minerals), n))
+        return LiquidState(
+            m, np.repeat(self.medium.concentration, n, axis=1), zero, none, np.zeros((e, n)),
+            none, zero, zero, active=[np.zeros(n, bool) for _ in self.minerals],
+        )  # fmt: skip
+
+    # --- pieces ---------------------------------------------------------------------------
+
+    def target(self, state: LiquidState) -> np.ndarray:
+        """Pi, (E, n); exactly 0 for a component the medium lacks where none is resolved."""
+        change = self.released[:, None] * state.release + state.migrated
+        for mineral, extent in zip(self.minerals, state.extents, strict=True):
+            change -= mineral.nu[:, None] * extent
+        target = self.bulk + change
+        lacking = (self.bulk[:, 0] == 0) & self.composer.only_positive
+        for e in np.flatnonzero(lacking):
+            small = np.abs(target[e]) <= _RESOLVED * np.abs(change[e]).max(initial=0.0)
+            target[e, small] = 0.0
+        return target
+
+    def compose(self, state: LiquidState) -> None:
+        """Composition, net charge and so on from the scalar fields, in place."""
+        self.composer.solve(self.target(state), self.b, state.ln_component)
+        state.concentration = self.composer.concentrations(
+            state.ln_component, self.b, np.empty((len(self.chemistry.names), self.space.n))
+        )
+        state.net_charge = self.chemistry.charge @ state.concentration
+
+    def migrate(self, state: LiquidState) -> np.ndarray:
+        """N_e, (E, n): what migration adds to the inflow of each component, mol/m3/s."""
+        space = self.space
+        out = np.zeros((len(self.chemistry.components), space.n))
+        psi = space.spread(state.psi)
+        weights = np.array([w for _, _, w in self._groups])
+        values = weights @ state.concentration
+        held = weights @ self.medium.concentration[:, 0]
+        shrunk = {
+            z: space.sum(space.all_volume * np.expm1(-0.5 * z * psi))
+            for z in {z for _, z, _ in self._groups}
+            if self.options.flux_form == "sqra"
+        }
+        for (e, z, _), value, edge in zip(self._groups, values, held, strict=True):
+            field_ = migration(
+                self.options.flux_form, space.sum, space.all_volume,
+                space.spread(value, edge), psi, z, space.degree_field, shrunk.get(z),
+            )  # fmt: skip
+            out[e] += space.gather(field_)
+        return out
+
+    # --- the solution ---------------------------------------------------------------------
+
+    def solve(
+        self,
+        source: np.ndarray,
+        start: LiquidState | None = None,
+        amounts: np.ndarray | None = None,
+        step: float = np.inf,
+    ) -> LiquidState:
+        """Return the liquid that a release keeps up.
+
+        Parameters
+        ----------
+        source : (n,) metal released into each node, mol/m3/s
+        start : a state to begin with
+        amounts : (M, n) minerals that are there, mol/m3; what dissolves is limited by them
+        step : s, the time over which no more than `amounts` can dissolve
+
+        Raises
+        ------
+        ConvergenceError
+            When minerals or potential do not settle.
+        CompositionError
+            When a node has no composition.
+        """
+        space, options = self.space, self.options
+        state = _copy(start or self.rest())
+        there = np.zeros((len(self.minerals), space.n)) if amounts is None else amounts
+        right = space.volume * source
+        scale = float(np.linalg.norm(right))
+        state.iterations = state.sweeps = 0
+        if scale == 0.0:
+            scale = float(np.linalg.norm(space.volume)) * 1e-12
+        absolute = options.tolerance * scale
+        state.release, used = space.solve(self._system, right, state.release, 0.1 * absolute)
+        state.iterations += used
+        self.compose(state)
+        self._grow(state, there, step, absolute)
+        if options.closure != "none":
+            self._close(state, there, step, absolute)
+        return state
+
+    def _grow(self, state: LiquidState, there: np.ndarray, step: float, absolute: float) -> None:
+        """Bring the minerals in balance with the rest, one after the other until none changes."""
+        if not self.minerals:
+            return
+        for _ in range(_MAXIMUM_SWEEPS):
+            change = 0.0
+            for i, mineral in enumerate(self.minerals):
+                if not self._takes_part(mineral, state, there[i], i):
+                    continue
+                before = state.rates[i].copy()
+                used = solve_mineral(self, state, i, there[i] / step, there[i], absolute)
+                state.iterations += used
+                change = max(
+                    change, float(np.linalg.norm(self.space.volume * (state.rates[i] - before)))
+                )
+            if change <= 10 * absolute:
+                return
+        raise ConvergenceError(
+            f"minerals: their rates still change by {change:.2g} after {_MAXIMUM_SWEEPS} rounds, "
+            f"{10 * absolute:.2g} wanted; a shorter step or a smaller release will do"
+        )
+
+    def _takes_part(
+        self, mineral: MineralField, state: LiquidState, there: np.ndarray, number: int
+    ) -> bool:
+        ln_omega = mineral.ln_omega(state.ln_component)
+        return bool(
+            (there > 0).any()
+            or state.rates[number].any()
+            or ((ln_omega > mineral.ln_nucleation) & mineral.region).any()
+        )
+
+    def _close(self, state: LiquidState, there: np.ndarray, step: float, absolute: float) -> None:
+        """Sweep: potential from the net charge at each node, then the ions' migration in it."""
+        space, chemistry = self.space, self.chemistry
+        z2 = chemistry.charge**2
+        thermal = GAS_CONSTANT * chemistry.temperature / FARADAY
+        published = self.options.closure == "as_published"
+        permittivity = 0.0
+        if self.options.closure == "poisson":
+            permittivity = VACUUM_PERMITTIVITY * _permittivity(chemistry.temperature)
+        charge_scale = permittivity * thermal / FARADAY
+        for sweep in range(1, _MAXIMUM_SWEEPS + 1):
+            support = z2 @ state.concentration
+            if published:
+                right = (
+                    space.volume * state.net_charge * (FARADAY / (PUBLISHED_CONDUCTIVITY * thermal))
+                )
+                size = max(float(np.linalg.norm(right)), 1e-300)
+                psi, used = space.solve(self._system, right, 0 * state.psi, 1e-10 * size)
+                state.iterations += used
+                state.psi = psi
+            else:
+                excess = state.net_charge - charge_scale * (space.outflow(state.psi) / space.volume)
+                update = excess / (support + charge_scale * space.degree)
+                # A potential that follows round-off would only stir the ions.
+                if np.abs(excess / support).max(initial=0.0) > 0.1 * self.options.neutrality:
+                    state.psi = state.psi + update
+            inflow = self.migrate(state)
+            residual = max(
+                float(np.linalg.norm(space.volume * inflow[e] - space.outflow(state.migrated[e])))
+                for e in range(inflow.shape[0])
+            )
+            excess_now = float((np.abs(state.net_charge) / (0.5 * support)).max(initial=0.0))
+            state.sweeps = sweep
+            settled = self.options.closure != "electroneutral" or (
+                excess_now <= self.options.neutrality
+            )
+            if residual <= absolute and settled:
+                break
+            if sweep == _MAXIMUM_SWEEPS or not np.isfinite(residual):
+                raise ConvergenceError(
+                    f"potential: net charge {excess_now:.2g} of the ionic strength after {sweep} "
+                    f"sweeps, {self.options.neutrality:g} wanted; the ions' fluxes change by "
+                    f"{residual:.2g}, {absolute:.2g} wanted"
+                )
+            tight = max(0.1 * absolute, 1e-3 * residual)
+            for e in range(inflow.shape[0]):
+                state.migrated[e], used = space.solve(
+                    self._system, space.volume * inflow[e], state.migrated[e], tight
+                )
+                state.iterations += used
+            self.compose(state)
+            self._grow(state, there, step, absolute)
+        largest = float(np.abs(chemistry.charge).max()) * largest_bond_step(
+            space.spread(state.psi), space.all_volume, space.sum.reach
+        )
+        if largest > LARGEST_SQRA_STEP and self.options.flux_form != "sg":
+            log.warning(
+                "the potential steps by up to %.2g RT/F along a bond, above %g: use the flux "
+                "form 'sg'", largest, LARGEST_SQRA_STEP,
+            )  # fmt: skip
+
+    # --- what is seen ---------------------------------------------------------------------
+
+    def potential_bound(self, state: LiquidState) -> float:
+        """Bound of |phi| left out, V: net charge over sum z^2 C, the first and largest update."""
+        support = self.chemistry.charge**2 @ state.concentration
+        return self.thermal_voltage * float(np.abs(state.net_charge / support).max(initial=0.0))
+
+    @property
+    def thermal_voltage(self) -> float:
+        """R T / F, V."""
+        return GAS_CONSTANT * self.chemistry.temperature / FARADAY
+
+    def neutral_concentration(self, state: LiquidState) -> np.ndarray:
+        """Concentrations, (K, n), with the inert ion as neutrality wants it (closure "none").
+
+        Raises ValueError where the inert ion would become negative or there is none.
+        """
+        if self.options.closure != "none":
+            return state.concentration
+        if self.inert < 0:
+            raise ValueError("closure: 'none' needs an inert ion that takes up the charge")
+        concentration = state.concentration.copy()
+        concentration[self.inert] -= state.net_charge / self.chemistry.charge[self.inert]
+        if (concentration[self.inert] < 0).any():
+            raise ValueError(
+                f"closure: 'none' makes {self.chemistry.names[self.inert]} negative; "
+                "use 'electroneutral'"
+            )
+        return concentration
+
+    def ph(self, state: LiquidState) -> np.ndarray:
+        """-log10 of the activity of H, (n,)."""
+        h = self.chemistry.components.index("H")
+        return -(state.ln_component[h] - np.log(MOLAR) + self.medium.ln_gamma[h, 0]) / LN10
+
+    def saturation_index(self, state: LiquidState, number: int) -> np.ndarray:
+        """log10(Omega) of one mineral, (n,)."""
+        return self.minerals[number].ln_omega(state.ln_component) / LN10
+
+    def balance(self, state: LiquidState, source: np.ndarray) -> np.ndarray:
+        """Relative error of the balance of every component, (E,).
+
+        Released - precipitated - what leaves through the bonds to the refreshed layer, over what
+        moves of the component (released, precipitated, diffused and migrated, each positive).
+        """
+        space = self.space
+        change = self.target(state) - self.bulk
+        gained = self.released * space.total(source)
+        formed = sum(
+            (m.nu * space.total(r) for m, r in zip(self.minerals, state.rates, strict=True)),
+            np.zeros(gained.shape),
+        )
+        moved = np.array([space.total(space.exit * c) for c in change])
+        carried = np.array([space.total(v) for v in self.migrate(state)])
+        scale = np.abs(gained) + np.abs(formed) + np.abs(moved) + np.abs(carried)
+        reference = max(space.total(np.abs(source)), 1e-300)
+        return np.abs(gained + carried - formed - moved) / np.maximum(scale, reference)
+
+
+def _permittivity(temperature: float) -> float:
+    known = sorted(RELATIVE_PERMITTIVITY.items())
+    return float(np.interp(temperature, [t for t, _ in known], [v for _, v in known]))
+
+
+def _copy(state: LiquidState) -> LiquidState:
+    return LiquidState(
+        state.ln_component.copy(), state.concentration.copy(), state.release.copy(),
+        state.extents.copy(), state.migrated.copy(), state.rates.copy(), state.psi.copy(),
+        state.net_charge.copy(), active=[a.copy() for a in state.active],
+    )  # fmt: skip
