@@ -2,11 +2,50 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 import numpy as np
 
 from peri.engine.influence import Stencil
 from peri.engine.operators import NonlocalSum
 from peri.engine.solvers import DiffusionSystem
+
+
+@dataclass
+class LiquidState:
+    """A quasi-steady liquid; fields (n,) over the unknown nodes of the LiquidSpace.
+
+    ln_component : (E, n) ln of the free components, mol/m3
+    release : (n,) g;  extents : (M, n) G_m;  migrated : (E, n) X_e;  all mol/m/s
+    rates : (M, n) growth of the minerals, mol/m3/s
+    psi : (n,) F phi / (R T)
+    """
+
+    ln_component: np.ndarray
+    concentration: np.ndarray
+    release: np.ndarray
+    extents: np.ndarray
+    migrated: np.ndarray
+    rates: np.ndarray
+    psi: np.ndarray
+    net_charge: np.ndarray
+    sweeps: int = 0
+    iterations: int = 0
+    active: list[np.ndarray] = field(default_factory=list)
+
+    def copy(self) -> LiquidState:
+        """Return a state of its own; counters start at zero."""
+        return LiquidState(
+            self.ln_component.copy(),
+            self.concentration.copy(),
+            self.release.copy(),
+            self.extents.copy(),
+            self.migrated.copy(),
+            self.rates.copy(),
+            self.psi.copy(),
+            self.net_charge.copy(),
+            active=[a.copy() for a in self.active],
+        )
 
 
 class LiquidSpace:

@@ -14,16 +14,16 @@ kinetic : r = k S ln(Omega) where the mineral is there or ln(Omega) exceeds its 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
-from peri.engine.solvers import ConvergenceError
+from peri.engine.solvers import ConvergenceError, DiffusionSystem
+from peri.transport.composition import Composer
+from peri.transport.liquid import LiquidSpace, LiquidState
 from peri.transport.speciation import saturate
-
-if TYPE_CHECKING:
-    from peri.transport.nernst_planck import LiquidState, QuasiSteadyLiquid
 
 _MAXIMUM_ROUNDS = 100
 _SATURATED = 1e-9
@@ -57,8 +57,23 @@ class MineralField:
         return self.nu @ m + self.constant
 
 
+class ReactingLiquid(Protocol):
+    """What a mineral sees of the liquid that it forms in."""
+
+    space: LiquidSpace
+    composer: Composer
+    b: np.ndarray
+    minerals: Sequence[MineralField]
+    plain: DiffusionSystem
+    relative: float
+
+    def target(self, state: LiquidState) -> np.ndarray: ...
+
+    def compose(self, state: LiquidState) -> None: ...
+
+
 def solve_mineral(
-    liquid: QuasiSteadyLiquid,
+    liquid: ReactingLiquid,
     state: LiquidState,
     number: int,
     lowest: np.ndarray,
@@ -78,13 +93,14 @@ def solve_mineral(
 
 
 def _equilibrium(
-    liquid: QuasiSteadyLiquid,
+    liquid: ReactingLiquid,
     state: LiquidState,
     number: int,
     lowest: np.ndarray,
     absolute: float,
 ) -> int:
     space, mineral = liquid.space, liquid.minerals[number]
+    absolute = max(absolute, liquid.relative * float(np.linalg.norm(space.volume * lowest)))
     base = liquid.target(state) + mineral.nu[:, None] * state.extents[number]
     active = state.active[number]
     obstacle = np.full(space.n, np.nan)
@@ -99,7 +115,7 @@ def _equilibrium(
             )[0]  # fmt: skip
         extent = np.where(active, obstacle, state.extents[number])
         if active.any() or lowest.any() or state.extents[number].any():
-            system = space.system(active) if active.any() else liquid._system
+            system = space.system(active) if active.any() else liquid.plain
             extent, used = space.solve(system, -space.volume * lowest, extent, 0.1 * absolute)
             iterations += used
         state.extents[number] = extent
@@ -122,7 +138,7 @@ def _equilibrium(
 
 
 def _kinetic(
-    liquid: QuasiSteadyLiquid,
+    liquid: ReactingLiquid,
     state: LiquidState,
     number: int,
     lowest: np.ndarray,
@@ -143,6 +159,7 @@ def _kinetic(
     residual = space.volume * growth - space.outflow(state.extents[number])
     norm = float(np.linalg.norm(residual))
     for _ in range(_MAXIMUM_ROUNDS):
+        absolute = max(absolute, liquid.relative * float(np.linalg.norm(space.volume * growth)))
         if norm <= absolute:
             state.rates[number] = growth
             return iterations
@@ -183,7 +200,7 @@ def _kinetic(
 
 
 def _sensitivity(
-    liquid: QuasiSteadyLiquid, state: LiquidState, nu: np.ndarray, nodes: np.ndarray
+    liquid: ReactingLiquid, state: LiquidState, nu: np.ndarray, nodes: np.ndarray
 ) -> np.ndarray:
     """nu^T (nu^T diag(D C) nu)^-1 nu at some nodes."""
     matrix = liquid.composer.hessian(state.concentration[:, nodes])

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from peri.engine.solvers import ConvergenceError
 from peri.transport.activity import conditional_constants, mineral_constants
 from peri.transport.composition import Composer
 from peri.transport.fluxes import FLUX_FORMS, LARGEST_SQRA_STEP, largest_bond_step, migration
-from peri.transport.liquid import LiquidSpace
+from peri.transport.liquid import LiquidSpace, LiquidState
 from peri.transport.minerals import MineralField, solve_mineral
 from peri.transport.speciation import Solution
 from peri.transport.species import LN10, MOLAR
@@ -78,29 +78,6 @@ class TransportOptions:
                 raise ValueError(f"{name}: {number}; it must be between 0 and 1")
 
 
-@dataclass
-class LiquidState:
-    """A quasi-steady liquid; fields (n,) over the unknown nodes of the LiquidSpace.
-
-    ln_component : (E, n) ln of the free components, mol/m3
-    release : (n,) g;  extents : (M, n) G_m;  migrated : (E, n) X_e;  all mol/m/s
-    rates : (M, n) growth of the minerals, mol/m3/s
-    psi : (n,) F phi / (R T)
-    """
-
-    ln_component: np.ndarray
-    concentration: np.ndarray
-    release: np.ndarray
-    extents: np.ndarray
-    migrated: np.ndarray
-    rates: np.ndarray
-    psi: np.ndarray
-    net_charge: np.ndarray
-    sweeps: int = 0
-    iterations: int = 0
-    active: list[np.ndarray] = field(default_factory=list)
-
-
 class QuasiSteadyLiquid:
     """The composition of the liquid that a given release and the minerals keep up.
 
@@ -134,6 +111,7 @@ class QuasiSteadyLiquid:
         chemistry = medium.chemistry
         self.space, self.medium, self.chemistry = space, medium, chemistry
         self.options = options or TransportOptions()
+        self.relative = self.options.tolerance
         lost = int(space.cut_off().sum())
         if lost:
             raise ValueError(
@@ -167,7 +145,7 @@ class QuasiSteadyLiquid:
             for i, mineral in enumerate(chemistry.minerals)
         ]
         self._groups = self._charge_groups()
-        self._system = space.system()
+        self.plain = space.system()
         self.inert = self._inert()
 
     def _charge_groups(self) -> list[tuple[int, float, np.ndarray]]:
@@ -265,7 +243,7 @@ class QuasiSteadyLiquid:
             When a node has no composition.
         """
         space, options = self.space, self.options
-        state = _copy(start or self.rest())
+        state = (start or self.rest()).copy()
         there = np.zeros((len(self.minerals), space.n)) if amounts is None else amounts
         right = space.volume * source
         scale = float(np.linalg.norm(right))
@@ -273,7 +251,7 @@ class QuasiSteadyLiquid:
         if scale == 0.0:
             scale = float(np.linalg.norm(space.volume)) * 1e-12
         absolute = options.tolerance * scale
-        state.release, used = space.solve(self._system, right, state.release, 0.1 * absolute)
+        state.release, used = space.solve(self.plain, right, state.release, 0.1 * absolute)
         state.iterations += used
         self.compose(state)
         self._grow(state, there, step, absolute)
@@ -293,8 +271,10 @@ class QuasiSteadyLiquid:
                 before = state.rates[i].copy()
                 used = solve_mineral(self, state, i, there[i] / step, there[i], absolute)
                 state.iterations += used
-                change = max(
-                    change, float(np.linalg.norm(self.space.volume * (state.rates[i] - before)))
+                volume = self.space.volume
+                change = max(change, float(np.linalg.norm(volume * (state.rates[i] - before))))
+                absolute = max(
+                    absolute, self.relative * float(np.linalg.norm(volume * state.rates[i]))
                 )
             if change <= 10 * absolute:
                 return
@@ -330,7 +310,7 @@ class QuasiSteadyLiquid:
                     space.volume * state.net_charge * (FARADAY / (PUBLISHED_CONDUCTIVITY * thermal))
                 )
                 size = max(float(np.linalg.norm(right)), 1e-300)
-                psi, used = space.solve(self._system, right, 0 * state.psi, 1e-10 * size)
+                psi, used = space.solve(self.plain, right, 0 * state.psi, 1e-10 * size)
                 state.iterations += used
                 state.psi = psi
             else:
@@ -360,7 +340,7 @@ class QuasiSteadyLiquid:
             tight = max(0.1 * absolute, 1e-3 * residual)
             for e in range(inflow.shape[0]):
                 state.migrated[e], used = space.solve(
-                    self._system, space.volume * inflow[e], state.migrated[e], tight
+                    self.plain, space.volume * inflow[e], state.migrated[e], tight
                 )
                 state.iterations += used
             self.compose(state)
@@ -436,11 +416,3 @@ class QuasiSteadyLiquid:
 def _permittivity(temperature: float) -> float:
     known = sorted(RELATIVE_PERMITTIVITY.items())
     return float(np.interp(temperature, [t for t, _ in known], [v for _, v in known]))
-
-
-def _copy(state: LiquidState) -> LiquidState:
-    return LiquidState(
-        state.ln_component.copy(), state.concentration.copy(), state.release.copy(),
-        state.extents.copy(), state.migrated.copy(), state.rates.copy(), state.psi.copy(),
-        state.net_charge.copy(), active=[a.copy() for a in state.active],
-    )  # fmt: skip
