@@ -184,6 +184,7 @@ class LifeCycle:
             started=self.progress.started,
             advanced=self.progress.advanced,
             finished=finished,
+            keep=self.folder.descriptors,
         )
         records = [
             self.folder.read_record(self.folder.immersion(alloy, moment.label), "pull")

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.record import children
 from pipeline.record.machine import child_environment, mpirun
 
 logger = logging.getLogger(__name__)
@@ -38,13 +39,27 @@ def in_own_process(case: str, *, ranks: int = 0, threads: int | None = None, **a
     given = ", ".join(f"{k} {v}" for k, v in arguments.items() if not isinstance(v, list))
     print(f"{case} {given} ...", end=" ", file=sys.stderr, flush=True)
     begun = time.monotonic()
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    child = children.start(
+        command,
+        launcher=ranks > 0,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        printed, told = child.communicate()
+    finally:
+        children.end(child)
     print(f"{time.monotonic() - begun:.0f} s", file=sys.stderr, flush=True)
-    for line in done.stdout.splitlines():
+    for line in printed.splitlines():
         if line.startswith(MARK):
             return json.loads(line[len(MARK) :])
-    said = (done.stderr.strip() or "nothing").splitlines()[-1]
-    raise RuntimeError(f"the case {case} of the benchmark ended with {done.returncode}: {said}")
+    said = (told.strip() or "nothing").splitlines()[-1]
+    raise RuntimeError(
+        f"the case {case} of the benchmark ended with "
+        f"{children.how_it_ended(child.returncode)}: {said}"
+    )
 
 
 def peak_memory() -> float:

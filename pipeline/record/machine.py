@@ -34,14 +34,23 @@ def processor_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+_OF_A_RANK = ("OMPI_COMM_WORLD_", "PMIX_", "PMI_", "PRTE_", "HYDI_", "OMPI_MCA_orte_")
+_OF_A_RANK += ("OMPI_MCA_ess", "OMPI_MCA_pmix", "OMPI_MCA_initial_wdir", "OMPI_MCA_shmem_RUNTIME")
+_OF_A_RANK += ("OMPI_APP_CTX_", "OMPI_NUM_APP_CTX", "OMPI_FIRST_RANKS", "OMPI_FILE_LOCATION")
+_OF_A_RANK += ("OMPI_UNIVERSE_SIZE", "OMPI_COMMAND", "OMPI_ARGV")
+"""Beginnings of the variables by which a launcher tells a rank who it is."""
+
+
 def child_environment(ranks: int, threads: int | None) -> dict[str, str]:
     """Environment of a child process that imports this checkout, alone or under mpirun.
 
     ranks: how many start together, 1 for a single one; each gets one thread of OpenMP (BLAS) and
     the settings of Open MPI.  0: one process that knows nothing of MPI and keeps the OpenMP
     threads of the caller.  threads: of Numba, each rank's own, None leaves the choice to the child.
+    What tells this process which rank it is, where it is one, is left out: a child that took it for
+    its own would end in MPI_Init.
     """
-    environment = dict(os.environ)
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(_OF_A_RANK)}
     # threads and ranks that wait give their core away: on a busy machine spinning costs many times
     # the work
     environment.setdefault("OMP_WAIT_POLICY", "passive")
@@ -60,6 +69,28 @@ def child_environment(ranks: int, threads: int | None) -> dict[str, str]:
         part for part in (root, environment.get("PYTHONPATH", "")) if part
     )
     return environment
+
+
+def check_counts(ranks: int, workers: int | None, oversubscribe: bool = False) -> None:
+    """Refuse ranks per pull (--np) and pulls at a time (--pulls) that are out of range.
+
+    Together at most as many as there are cores, unless `oversubscribe`.
+    """
+    for name, value in (("--np", ranks), ("--pulls", workers)):
+        if value is not None and not 1 <= value <= 4096:
+            raise ValueError(f"{name} is {value}; it must be 1 to 4096")
+    cores = processor_cores()
+    if oversubscribe or ranks * (workers or 1) <= cores:
+        return
+    if ranks > cores:
+        asked, most = f"--np is {ranks}", cores
+    else:
+        each = f" of {ranks} ranks each" if ranks > 1 else ""
+        asked, most = f"--pulls is {workers}{each}", cores // ranks
+    raise ValueError(
+        f"{asked} and this process may use {cores} cores; it must be at most {most}, or "
+        "--oversubscribe be given"
+    )
 
 
 def mpirun(ranks: int, asked_by: str) -> list[str]:

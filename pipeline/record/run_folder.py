@@ -46,6 +46,7 @@ class RunFolder:
 
     def __init__(self, path: Path | str):
         self.path = Path(path)
+        self._lock: int | None = None
 
     @property
     def scene_file(self) -> Path:
@@ -76,10 +77,11 @@ class RunFolder:
         return self.path / alloy / label
 
     def is_empty(self) -> bool:
-        """Whether nothing is in the folder but perhaps the lock of this very run."""
+        """Whether nothing is in the folder but perhaps what an ended run left before its scene."""
         if not self.path.exists():
             return True
-        return all(entry.name == LOCK_FILE for entry in self.path.iterdir())
+        left = f".{SCENE_FILE}."
+        return all(e.name == LOCK_FILE or e.name.startswith(left) for e in self.path.iterdir())
 
     def write_record(self, folder: Path, record: StageRecord) -> None:
         """Store the record that makes a stage complete; call it after the outputs exist."""
@@ -108,29 +110,64 @@ class RunFolder:
 
     @contextmanager
     def lock(self) -> Iterator[None]:
-        """Hold the folder for this process; refuse when another one holds it.
+        """Hold the folder for this process and the children that inherit `descriptors`.
 
-        The operating system frees the lock when the process ends, however it ends.
+        Refused when another run holds the folder.  The operating system frees the lock when the
+        last of these processes ends, however they end.  What a killed process left half-written
+        is removed.
         """
         self.path.mkdir(parents=True, exist_ok=True)
-        with open(self.path / LOCK_FILE, "a+") as handle:
+        self._lock = self._acquire()
+        try:
+            for path in self.path.rglob("*"):
+                if not {".tmp", ".part"}.isdisjoint(path.suffixes) and path.is_file():
+                    path.unlink(missing_ok=True)
+            yield
+        finally:
+            (self.path / LOCK_FILE).unlink(missing_ok=True)
+            os.close(self._lock)
+            self._lock = None
+
+    @property
+    def descriptors(self) -> tuple[int, ...]:
+        """Open files that a child must inherit to hold the folder's lock as this process does."""
+        return () if self._lock is None else (self._lock,)
+
+    def _acquire(self) -> int:
+        path = self.path / LOCK_FILE
+        while True:
+            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
             try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if _same_file(descriptor, path):
+                    os.ftruncate(descriptor, 0)
+                    os.pwrite(descriptor, str(os.getpid()).encode(), 0)
+                    return descriptor
             except BlockingIOError:
-                handle.seek(0)
-                owner = handle.read().strip() or "unknown"
-                raise RunFolderError(
-                    f"run folder '{self.path}' is in use by process {owner}; wait for it to "
-                    "end or choose another folder with --out"
-                ) from None
-            handle.seek(0)
-            handle.truncate()
-            handle.write(str(os.getpid()))
-            handle.flush()
-            try:
-                yield
-            finally:
-                (self.path / LOCK_FILE).unlink(missing_ok=True)
+                owner = os.pread(descriptor, 32, 0).decode(errors="replace").strip()
+                os.close(descriptor)
+                raise RunFolderError(self._in_use_by(owner)) from None
+            except BaseException:
+                os.close(descriptor)
+                raise
+            os.close(descriptor)  # another run removed the file between opening and locking
+
+    def _in_use_by(self, owner: str) -> str:
+        way_out = "wait for it to end or choose another folder with --out"
+        if owner.isdigit() and Path("/proc/self").exists() and not Path("/proc", owner).exists():
+            return (
+                f"run folder '{self.path}' is in use by a pull of process {owner}, which has "
+                f"ended itself; {way_out}"
+            )
+        return f"run folder '{self.path}' is in use by process {owner or 'unknown'}; {way_out}"
+
+
+def _same_file(descriptor: int, path: Path) -> bool:
+    """Whether `path` still names the open file."""
+    try:
+        return os.path.samestat(os.fstat(descriptor), os.stat(path))
+    except FileNotFoundError:
+        return False
 
 
 def write_text(path: Path, text: str) -> None:

@@ -25,6 +25,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.record import children
+
 if TYPE_CHECKING:
     import pyvista
 
@@ -274,24 +276,27 @@ def render_pictures(
         package_parent = str(Path(__file__).resolve().parents[2])
         search_path = os.pathsep.join(filter(None, [package_parent, os.environ.get("PYTHONPATH")]))
         try:
-            child = subprocess.run(
+            child = children.start(
                 [sys.executable, "-m", "pipeline.report.pictures", str(job)],
                 env={**os.environ, "PYTHONPATH": search_path},
-                capture_output=True,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
                 text=True,
-                timeout=timeout,
-                check=False,
             )
-        except subprocess.TimeoutExpired:
-            return f"rendering did not finish within {timeout:.0f} s"
         except OSError as error:
             return f"rendering could not be started: {error}"
+        try:
+            _, said = child.communicate(timeout=timeout)
+        except subprocess.TimeoutExpired:
+            return f"rendering did not finish within {timeout:.0f} s"
+        finally:
+            children.end(child)
     if child.returncode == 0:
         return ""
-    logger.warning("rendering failed:\n%s", child.stderr)
-    lines = [line.strip() for line in child.stderr.splitlines() if line.strip()]
+    logger.warning("rendering failed:\n%s", said)
+    lines = [line.strip() for line in said.splitlines() if line.strip()]
     reason = lines[-1] if lines else "no message"
-    return f"rendering stopped with exit code {child.returncode}: {reason[:200]}"
+    return f"rendering ended with {children.how_it_ended(child.returncode)}: {reason[:200]}"
 
 
 def write_overview(run: RunResults, pictures: dict[tuple[str, str, str], Path], path: Path) -> None:

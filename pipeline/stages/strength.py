@@ -10,7 +10,6 @@ import json
 import logging
 import os
 import resource
-import signal
 import subprocess
 import sys
 import time
@@ -21,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.geometry.mesh import read_mesh
-from pipeline.record import interruption
+from pipeline.record import children, interruption
 from pipeline.record.machine import child_environment, mpirun, processor_cores
 from pipeline.record.run_folder import write_json, write_text
 from pipeline.scene.loads import LOADS
@@ -33,7 +32,6 @@ RESULT_FILE = "tensile.json"
 CURVE_FILE = "tensile.csv"
 LOG_FILE = "tensile.log"
 PROGRESS_FILE = ".tensile.progress"
-PARENT_VARIABLE = "PERILIFE_PARENT"
 CHECKPOINT_FILE = ".tensile.checkpoint.h5"
 POLL_SECONDS = 0.1
 CHECKPOINT_SECONDS = 30.0
@@ -98,8 +96,6 @@ def run_job(job: TensileJob, comm: object = None) -> None:
     out = Path(job.out)
 
     def advanced(fraction: float, text: str) -> None:
-        if _orphaned():
-            comm.Abort(1)
         write_text(out / PROGRESS_FILE, f"{fraction:.4f}")
 
     material = Material(
@@ -168,12 +164,6 @@ class _Seldom:
         if self.comm.bcast(time.monotonic() - self.last >= self.seconds):
             self.observer(increment)
             self.last = time.monotonic()
-
-
-def _orphaned() -> bool:
-    """Whether the process that started this job is gone."""
-    parent = os.environ.get(PARENT_VARIABLE)
-    return parent is not None and not Path("/proc", parent).exists() and Path("/proc/1").exists()
 
 
 def _write_result(out: Path, result: object, load: str) -> None:
@@ -249,12 +239,14 @@ def run_jobs(
     started: Callable[[str], None] = lambda key: None,
     advanced: Callable[[str, float], None] = lambda key, fraction: None,
     finished: Callable[[str, float], None] = lambda key, seconds: None,
+    keep: tuple[int, ...] = (),
 ) -> None:
     """Run jobs in processes of their own, `workers` at a time with `ranks` ranks each.
 
+    keep: descriptors that the processes inherit, the lock of the run folder (children.start).
     The callbacks are called in this process with the job's key.  When one job fails the others
     that run are allowed to end, then TensileStageError is raised; when this process is
-    interrupted all children are ended first.
+    interrupted all children are ended first, and when it is killed they end with it.
     """
     command_line = _launcher(ranks)
     waiting = list(jobs.items())
@@ -264,7 +256,7 @@ def run_jobs(
         while running or (waiting and not failures):
             while waiting and not failures and len(running) < workers:
                 key, job = waiting.pop(0)
-                running.append(_start(key, job, command_line, ranks, workers))
+                running.append(_start(key, job, command_line, ranks, workers, keep))
                 started(key)
             time.sleep(POLL_SECONDS)
             interruption.check()
@@ -280,7 +272,7 @@ def run_jobs(
                     failures.append(_failure(item, code))
     finally:
         for item in running:
-            _end(item.process)
+            children.end(item.process)
         for job in jobs.values():
             (Path(job.out) / PROGRESS_FILE).unlink(missing_ok=True)
     if failures:
@@ -295,24 +287,28 @@ def _launcher(ranks: int) -> list[str]:
 def _environment(ranks: int, workers: int) -> dict[str, str]:
     """One thread per rank for BLAS; Numba gets what is left of the cores."""
     threads = max(1, processor_cores() // (ranks * workers))
-    environment = child_environment(ranks, threads)
-    environment[PARENT_VARIABLE] = str(os.getpid())
-    return environment
+    return child_environment(ranks, threads)
 
 
 def _start(
-    key: str, job: TensileJob, command_line: list[str], ranks: int, workers: int
+    key: str,
+    job: TensileJob,
+    command_line: list[str],
+    ranks: int,
+    workers: int,
+    keep: tuple[int, ...],
 ) -> _Running:
     _forget_others(job)
     path = job.write()
     with open(Path(job.out) / LOG_FILE, "w", encoding="utf-8") as log:
-        process = subprocess.Popen(
+        process = children.start(
             [*command_line, str(path)],
+            launcher=ranks > 1,
+            keep=keep,
             stdout=log,
             stderr=subprocess.STDOUT,
             stdin=subprocess.DEVNULL,
             env=_environment(ranks, workers),
-            start_new_session=True,
         )
     return _Running(job, key, process, time.monotonic())
 
@@ -332,24 +328,11 @@ def _forget_others(job: TensileJob) -> None:
             path.unlink(missing_ok=True)
 
 
-def _end(process: subprocess.Popen) -> None:
-    """End a child and whatever it started: its whole process group, first asked, then told."""
-    for number, patience in ((signal.SIGTERM, 5.0), (signal.SIGKILL, 5.0)):
-        try:
-            os.killpg(process.pid, number)
-            process.wait(patience)
-            return
-        except ProcessLookupError:
-            return
-        except subprocess.TimeoutExpired:
-            continue
-
-
 def _failure(item: _Running, code: int) -> str:
     log = Path(item.job.out) / LOG_FILE
     lines = [line for line in log.read_text(errors="replace").splitlines() if line.strip()]
     last = lines[-1].strip() if lines else "no message"
-    return f"{item.key} ended with exit status {code} ({last}; log: {log})"
+    return f"{item.key} ended with {children.how_it_ended(code)} ({last}; log: {log})"
 
 
 def _read_fraction(folder: Path) -> float:
@@ -364,6 +347,7 @@ def main(arguments: list[str]) -> int:
     if len(arguments) != 1:
         print("usage: python -m pipeline.stages.strength JOB.json", file=sys.stderr)
         return 2
+    children.end_with_parent()  # a rank's parent is mpirun
     logging.basicConfig(level=logging.INFO, format="%(relativeCreated)8.0f ms %(message)s")
     run_job(TensileJob.read(Path(arguments[0])))
     return 0

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.record.children import end_with_parent
 from pipeline.record.machine import child_environment
 from pipeline.scene.resolve import resolve_scene
 from pipeline.scene.scene import Scene
@@ -196,6 +197,7 @@ def _warm_up() -> None:
     from fem.constitutive import Material, fit_voce
     from fem.strength import TensileSettings, tensile_test
 
+    end_with_parent()
     # what a terminal sends to the whole group is dealt with by the parent
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     triangle = [[0, 0], [1, 0], [0, 1]]

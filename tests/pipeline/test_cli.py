@@ -100,6 +100,9 @@ def _changed(*changes: str) -> list[str]:
         (_changed("--bending-azimuth", "30deg"), ["left out where the load is axial"]),
         (_changed("--mesh-size", "100um", "--mesh-size-fine", "200um"), ["200 um", "100 um"]),
         (_changed("--np", "0"), ["--np is 0"]),
+        (_changed("--np", "3"), ["--np is 3", "2 cores", "at most 2", "--oversubscribe"]),
+        (_changed("--pulls", "3"), ["--pulls is 3 and", "at most 2", "--oversubscribe"]),
+        (_changed("--np", "2", "--pulls", "2"), ["--pulls is 2 of 2 ranks each", "at most 1"]),
         (_changed("--unit", "mm"), ["--unit", "--solid"]),
         (_changed("--volume-loss", "mine.csv"), ["mine.csv", "ALLOY=FILE.csv"]),
         (_changed("--volume-loss", "Mg-5Gd=absent.csv"), ["absent.csv", "no such file"]),
@@ -107,7 +110,8 @@ def _changed(*changes: str) -> list[str]:
         (["--immersion", "8w"], ["--alloy"]),
     ],
 )
-def test_a_scene_that_cannot_be_computed_is_refused(tmp_path, capsys, scene, words):
+def test_a_scene_that_cannot_be_computed_is_refused(tmp_path, capsys, monkeypatch, scene, words):
+    monkeypatch.setattr(machine, "processor_cores", lambda: 2)
     out = tmp_path / "run"
     _refused(capsys, ["run", "--out", str(out), *scene], *words)
     assert not out.exists()

@@ -76,7 +76,7 @@ def calls(monkeypatch) -> list[str]:
         write_text(out / "damage.h5", "f0")
         return [out / "damage.h5"], {"mean_corrosion_damage": 0.1 * moment.days / 7}
 
-    def pulls(jobs, ranks, workers, started, advanced, finished):
+    def pulls(jobs, ranks, workers, started, advanced, finished, keep=()):
         for key, job in jobs.items():
             made.append(key)
             out = Path(job.out)

@@ -387,7 +387,7 @@ def test_failing_graphics_leave_a_report_that_says_so(tmp_path, mesh, monkeypatc
     path = write_run(tmp_path / "run", scene_of(alloys=("Mg-5Gd",), weeks=("0w",)), *mesh)
     monkeypatch.setattr(pictures.sys, "executable", "/bin/false")
     page, _ = page_of(path)
-    assert "rendering stopped with exit code 1" in page.sections["missing"]
+    assert "rendering ended with exit status 1" in page.sections["missing"]
     assert page.pictures == [] and not (path / "overview.png").exists()
     assert "was tested only before immersion; the intact solid carries" in page.sections["header"]
 
