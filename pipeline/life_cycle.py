@@ -23,7 +23,7 @@ from pipeline.record.summary import SummaryRow, write_summary
 from pipeline.scene.loads import LOADS
 from pipeline.scene.scene import Scene
 from pipeline.scene.units import ImmersionTime
-from pipeline.stages.strength import CURVE_FILE, RESULT_FILE, TensileJob, read_result, run_jobs
+from pipeline.stages.strength import TensileJob, read_result, run_jobs, written_files
 
 logger = logging.getLogger(__name__)
 
@@ -157,9 +157,11 @@ class LifeCycle:
         for key, (alloy, moment) in cases.items():
             folder = self.folder.immersion(alloy, moment.label)
             self._needs("map", folder, map_hash(self.scene, alloy, moment))
-            if self.folder.complete(folder, "pull", pull_hash(self.scene, alloy, moment)):
+            inputs = pull_hash(self.scene, alloy, moment)
+            if self.folder.complete(folder, "pull", inputs):
                 self.progress.reused(key)
                 continue
+            self._say_damage("pull", folder, inputs)
             self.folder.forget(folder, "pull")
             jobs[key] = TensileJob(
                 geometry=str(self.folder.geometry),
@@ -173,8 +175,8 @@ class LifeCycle:
             alloy, moment = cases[key]
             folder = self.folder.immersion(alloy, moment.label)
             inputs = pull_hash(self.scene, alloy, moment)
-            outputs = [folder / RESULT_FILE, folder / CURVE_FILE]
-            self._complete("pull", folder, inputs, seconds, (outputs, read_result(folder)))
+            outcome = (written_files(folder), read_result(folder))
+            self._complete("pull", folder, inputs, seconds, outcome)
             self.progress.finished(key, seconds)
 
         run_jobs(
@@ -249,9 +251,11 @@ class LifeCycle:
         record = self.folder.complete(folder, stage, inputs)
         if record is None:
             where = folder.relative_to(self.folder.path)
+            damage = self.folder.damage(folder, stage, inputs)
+            because = f", {damage}" if damage else ""
             raise RunFolderError(
                 f"stage '{stage}' of '{where}' is not complete in run folder "
-                f"'{self.folder.path}'; run `perilife {stage}` on it first"
+                f"'{self.folder.path}'{because}; run `perilife {stage}` on it first"
             )
         return record
 
@@ -264,6 +268,7 @@ class LifeCycle:
             self.progress.reused(key)
             return record
         folder.mkdir(parents=True, exist_ok=True)
+        self._say_damage(stage, folder, inputs)
         self.folder.forget(folder, stage)
         self.progress.started(key)
         begin = time.perf_counter()
@@ -274,6 +279,11 @@ class LifeCycle:
         self.progress.finished(key, seconds)
         return record
 
+    def _say_damage(self, stage: str, folder: Path, inputs: str) -> None:
+        damage = self.folder.damage(folder, stage, inputs)
+        if damage:
+            self.progress.note(f"{damage}; stage '{stage}' is done again")
+
     def _complete(
         self, stage: str, folder: Path, inputs: str, seconds: float, outcome: Outcome
     ) -> StageRecord:
@@ -283,7 +293,7 @@ class LifeCycle:
             inputs=inputs,
             seconds=round(seconds, 3),
             finished=utc_now(),
-            outputs=tuple(str(path.relative_to(self.folder.path)) for path in outputs),
+            outputs=self.folder.fingerprints(outputs),
             numbers=numbers,
             versions=machine.package_versions(),
         )

@@ -1,14 +1,15 @@
 """The run folder: where each stage writes, which stages are complete, who works in it.
 
 A stage is complete when its record (`<stage>.stage.json`, written last) carries the hash of
-the inputs that the scene asks for and every output that the record names is there.  Files
-appear under a temporary name and are renamed, so that none is ever half-written.
+the inputs that the scene asks for and every output has the size and the hash that the record says.
+Files appear under a temporary name and are renamed, so that none is ever half-written.
 """
 
 import fcntl
+import hashlib
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
@@ -28,15 +29,16 @@ class RunFolderError(ValueError):
 class StageRecord:
     """What is known about one finished stage.
 
-    inputs: hash of everything the stage depends on; seconds: wall time it took;
-    outputs: paths relative to the run folder; numbers: results worth keeping beside it.
+    inputs: hash of everything the stage depends on; seconds: wall time it took; outputs: size and
+    hash by path relative to the run folder (RunFolder.fingerprints); numbers: results worth
+    keeping beside it.
     """
 
     stage: str
     inputs: str
     seconds: float
     finished: str = ""
-    outputs: tuple[str, ...] = ()
+    outputs: dict[str, dict[str, object]] = field(default_factory=dict)
     numbers: dict[str, object] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=dict)
 
@@ -47,6 +49,7 @@ class RunFolder:
     def __init__(self, path: Path | str):
         self.path = Path(path)
         self._lock: int | None = None
+        self._hashes: dict[tuple, str] = {}
 
     @property
     def scene_file(self) -> Path:
@@ -85,24 +88,64 @@ class RunFolder:
 
     def write_record(self, folder: Path, record: StageRecord) -> None:
         """Store the record that makes a stage complete; call it after the outputs exist."""
-        write_json(folder / f"{record.stage}.stage.json", asdict(record))
+        content = asdict(record)
+        write_json(folder / f"{record.stage}.stage.json", {**content, "seal": _seal(content)})
 
     def read_record(self, folder: Path, stage: str) -> StageRecord | None:
-        """Record of a stage, or None when there is none that can be read."""
+        """Record of a stage, or None when there is none that can be read and is as written."""
         try:
-            content = json.loads((folder / f"{stage}.stage.json").read_text())
-            return StageRecord(**{**content, "outputs": tuple(content["outputs"])})
-        except (OSError, ValueError, TypeError, KeyError):
+            content = json.loads((folder / f"{stage}.stage.json").read_text(encoding="utf-8"))
+            seal = content.pop("seal")
+            return StageRecord(**content) if seal == _seal(content) else None
+        except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
             return None
 
     def complete(self, folder: Path, stage: str, inputs: str) -> StageRecord | None:
-        """Record of a stage whose inputs match and whose outputs exist, else None."""
+        """Record of a stage whose inputs match and whose outputs are as written, else None."""
         record = self.read_record(folder, stage)
-        if record is None or record.inputs != inputs:
-            return None
-        if not all((self.path / name).exists() for name in record.outputs):
+        if record is None or record.inputs != inputs or self._damaged_output(record):
             return None
         return record
+
+    def damage(self, folder: Path, stage: str, inputs: str) -> str:
+        """What happened to a stage that was complete with these inputs, naming the file, or ""."""
+        path = folder / f"{stage}.stage.json"
+        record = self.read_record(folder, stage)
+        if record is None:
+            there = path.exists()
+            return f"'{path.relative_to(self.path)}' is not as it was written" if there else ""
+        return self._damaged_output(record) if record.inputs == inputs else ""
+
+    def fingerprints(self, paths: Iterable[Path]) -> dict[str, dict[str, object]]:
+        """Size in bytes and SHA-256 of files, by path relative to the run folder."""
+        return {
+            str(path.relative_to(self.path)): {
+                "bytes": path.stat().st_size,
+                "sha256": self._sha256(path),
+            }
+            for path in paths
+        }
+
+    def _damaged_output(self, record: StageRecord) -> str:
+        for name, written in record.outputs.items():
+            path = self.path / name
+            if not path.is_file():
+                return f"'{name}' is missing"
+            size = path.stat().st_size
+            if size != written["bytes"]:
+                return f"'{name}' has {size:,} bytes where {written['bytes']:,} were written"
+            if self._sha256(path) != written["sha256"]:
+                return f"'{name}' was changed after it was written"
+        return ""
+
+    def _sha256(self, path: Path) -> str:
+        """Hash of a file, computed again only where the file is another or was touched."""
+        status = path.stat()
+        key = (str(path), status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
+        if key not in self._hashes:
+            with open(path, "rb") as file:
+                self._hashes[key] = hashlib.file_digest(file, "sha256").hexdigest()
+        return self._hashes[key]
 
     def forget(self, folder: Path, stage: str) -> None:
         """Drop a stage's record before its outputs are written anew."""
@@ -160,6 +203,11 @@ class RunFolder:
                 f"ended itself; {way_out}"
             )
         return f"run folder '{self.path}' is in use by process {owner or 'unknown'}; {way_out}"
+
+
+def _seal(content: dict) -> str:
+    """Hash of a record's content, by which it is known whether somebody changed it."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def _same_file(descriptor: int, path: Path) -> bool:

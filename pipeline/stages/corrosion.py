@@ -32,6 +32,7 @@ logger = logging.getLogger(__name__)
 CORROSION_FILE = "corrosion.h5"
 CHECKPOINT_FILE = "checkpoint.h5"
 HISTORY_FILE = "history.csv"
+SERIES_FILE = "corrosion.pvd"
 
 
 @dataclass(frozen=True)
@@ -226,4 +227,4 @@ def corrode_in_folder(
             {**asdict(o), "bound": o.bound if math.isfinite(o.bound) else None} for o in omissions
         ],
     }
-    return [out / CORROSION_FILE, out / HISTORY_FILE], numbers
+    return [out / name for name in (CORROSION_FILE, HISTORY_FILE, SERIES_FILE)], numbers

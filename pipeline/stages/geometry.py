@@ -21,6 +21,7 @@ SURFACE_FILE = "surface.h5"
 CAD_FILE = "solid.brep"
 CHECKS_FILE = "geometry.json"
 MESH_FILE = "mesh.h5"
+MESH_PICTURE = "mesh.vtu"
 SCHEMA_VERSION = 1
 _NUMBERS = ("volume", "area", "reference_volume", "reference_area", "smallest_feature")
 
@@ -65,8 +66,8 @@ def write_geometry(
     numbers |= {"bounding_box": solid.bounding_box, "mesh_volume": mesh.quality["volume"]}
     write_json(folder / CHECKS_FILE, {"name": solid.name, **numbers, "mesh": mesh.quality})
     numbers |= {name: mesh.quality[name] for name in ("cells", "points", "min_shape")}
-    files = [folder / name for name in (SURFACE_FILE, MESH_FILE, CHECKS_FILE)]
-    return files, numbers
+    names = (SURFACE_FILE, MESH_FILE, MESH_PICTURE, CHECKS_FILE, *[CAD_FILE] * bool(solid.cad))
+    return [folder / name for name in names], numbers
 
 
 def write_surface(folder: Path, solid: Solid) -> None:

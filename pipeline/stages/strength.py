@@ -30,6 +30,8 @@ from pipeline.stages.mapping import DAMAGE_FILE, read_damage
 JOB_FILE = "tensile-job.json"
 RESULT_FILE = "tensile.json"
 CURVE_FILE = "tensile.csv"
+PICTURE_FILE = "tensile.vtu"
+SERIES_FILE = "tensile.pvd"
 LOG_FILE = "tensile.log"
 PROGRESS_FILE = ".tensile.progress"
 CHECKPOINT_FILE = ".tensile.checkpoint.h5"
@@ -216,7 +218,14 @@ def _write_picture(out: Path, mesh: object, damage: np.ndarray, result: object) 
         point_data={"displacement": np.nan_to_num(displacement)},
         cell_data={"corrosion_damage": [damage.reshape(len(mesh.cells), -1).mean(axis=1)]},
     ).write(temporary)
-    os.replace(temporary, out / "tensile.vtu")
+    os.replace(temporary, out / PICTURE_FILE)
+
+
+def written_files(folder: Path) -> list[Path]:
+    """What a finished test left in `folder`; the files of the series but their list left out."""
+    pictures = (folder / PICTURE_FILE, folder / SERIES_FILE)
+    written = [path for path in pictures if path.exists()]  # a short test has no series
+    return [folder / RESULT_FILE, folder / CURVE_FILE, *written]
 
 
 def read_result(folder: Path) -> dict[str, object]:
@@ -324,7 +333,7 @@ def _forget_others(job: TensileJob) -> None:
     if not same:
         checkpoint.unlink(missing_ok=True)
     if not checkpoint.exists():
-        for path in (*out.glob("tensile_*.vtu"), out / "tensile.pvd"):
+        for path in (*out.glob("tensile_*.vtu"), out / SERIES_FILE):
             path.unlink(missing_ok=True)
 
 

@@ -147,6 +147,52 @@ def test_every_file_of_the_run_folder_is_there(run):
     assert "Mg-10Gd" in printed
 
 
+def test_every_damaged_file_of_a_run_is_named(run, tmp_path):
+    """Truncated, changed in one byte, or gone: whatever a stage left, its records too."""
+    from pipeline.record.run_folder import RunFolder
+
+    out = tmp_path / "run"
+    shutil.copytree(run[0], out)
+    records = [path for path in out.rglob("*.stage.json") if path.name != "report.stage.json"]
+    assert len(records) == 1 + 2 + 2 * 4
+    told_by = {path: json.loads(path.read_text()) for path in records}
+    files = {out / name: path for path in records for name in told_by[path]["outputs"]}
+    named = {path.name for path in files}
+    assert named >= {"corrosion.h5", "history.csv", "mesh.h5", "surface.h5", "damage.h5"}
+    assert named >= {f"tensile.{suffix}" for suffix in ("json", "csv", "vtu", "pvd")}
+    folder = RunFolder(out)
+    for path, record in (files | {path: path for path in records}).items():
+        whole = path.read_bytes()
+        middle = len(whole) // 2
+        changed = whole[:middle] + bytes([whole[middle] ^ 1]) + whole[middle + 1 :]
+        stage, inputs = told_by[record]["stage"], told_by[record]["inputs"]
+        for damaged in (whole[:middle], changed, b""):
+            path.write_bytes(damaged)
+            assert folder.complete(record.parent, stage, inputs) is None
+            told = folder.damage(record.parent, stage, inputs)
+            assert told.startswith(f"'{path.relative_to(out)}' "), (path, told)
+        path.write_bytes(whole)
+        assert folder.complete(record.parent, stage, inputs)
+
+
+@pytest.mark.slow
+def test_damaged_files_are_made_again_with_resume(run, tmp_path):
+    out = tmp_path / "run"
+    shutil.copytree(run[0], out)
+    for name in ("Mg-5Gd/corrosion/corrosion.h5", "Mg-5Gd/8w/tensile.csv"):
+        with open(out / name, "r+b") as file:
+            file.truncate(100)
+    refused = subprocess.run(
+        [sys.executable, "-m", "pipeline.cli", "map", "--out", str(out)],
+        capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert refused.returncode == 2 and "'Mg-5Gd/corrosion/corrosion.h5' has 100" in refused.stderr
+    _, told = _finish(_start(out, "--resume"))
+    assert "corrosion.h5' has 100 bytes" in told and "tensile.csv' has 100 bytes" in told
+    assert told.count("complete, kept") == 9  # of 12 stages; the report follows the records
+    assert (out / "summary.csv").read_text() == (run[0] / "summary.csv").read_text()
+
+
 def test_progress_off_a_terminal_is_plain_lines(run):
     _, _, told = run
     assert "\x1b" not in told and "\r" not in told

@@ -188,23 +188,78 @@ def test_an_interrupted_stage_is_not_complete(tmp_path, calls, monkeypatch):
     assert calls[0] == "corrode Mg-A"
 
 
+def test_a_damaged_file_is_named_and_its_stage_done_again(tmp_path, calls, capsys):
+    scene = _scene("0w", "1w")
+    cycle = LifeCycle(scene, tmp_path, progress=LineProgress(sys.stderr))
+    cycle.run()
+    table = (tmp_path / "summary.csv").read_text()
+    made = {
+        "geometry/mesh.h5": "geometry",
+        "Mg-A/corrosion/corrosion.h5": "corrode Mg-A",
+        "Mg-A/1w/damage.h5": "map Mg-A 1w",
+        "Mg-A/1w/tensile.json": "pull Mg-A 1w",
+        "Mg-A/0w/tensile.csv": "pull Mg-A 0w",
+        "report.html": "report",
+    }
+    for name, again in made.items():
+        path = tmp_path / name
+        whole = path.read_bytes()
+        edited = whole.replace(whole[-1:], b"?")
+        for damaged, word in (
+            (whole[:-1], f"'{name}' has {len(whole) - 1} bytes where {len(whole)} were written"),
+            (edited, f"'{name}' was changed after it was written"),
+            (None, f"'{name}' is missing"),
+        ):
+            path.unlink() if damaged is None else path.write_bytes(damaged)
+            calls.clear()
+            capsys.readouterr()
+            cycle.run()
+            assert calls[0] == again and set(calls) <= {again, "report"}
+            assert f"{word}; stage '{again.split()[0]}' is done again" in capsys.readouterr().err
+            assert path.read_bytes() == whole
+            assert (tmp_path / "summary.csv").read_text() == table
+
+
+def test_a_stage_command_refuses_to_build_on_a_damaged_file(tmp_path, calls):
+    scene = _scene("0w", "1w")
+    cycle = LifeCycle(scene, tmp_path)
+    cycle.run()
+    (tmp_path / "Mg-A" / "1w" / "damage.h5").write_text("f1")
+    with pytest.raises(RunFolderError, match=r"'Mg-A/1w/damage.h5' was changed.*perilife map"):
+        cycle.pull([("Mg-A", scene.immersion[1])])
+
+
 def test_a_record_needs_its_inputs_and_its_outputs(tmp_path):
     folder = RunFolder(tmp_path)
-    write_text(tmp_path / "part" / "out.txt", "x")
-    record = StageRecord("work", "hash", 1.5, outputs=("part/out.txt",), numbers={"n": 3})
+    out = tmp_path / "part" / "out.txt"
+    write_text(out, "x")
+    written = folder.fingerprints([out])
+    # printf x | sha256sum
+    digest = "2d711642b726b04401627ca9fbac32f5c8530fb1903cc4db02258717921a4881"
+    assert written == {"part/out.txt": {"bytes": 1, "sha256": digest}}
+    record = StageRecord("work", "hash", 1.5, outputs=written, numbers={"n": 3})
     folder.write_record(tmp_path / "part", record)
     assert folder.complete(tmp_path / "part", "work", "hash") == record
+    assert folder.damage(tmp_path / "part", "work", "hash") == ""
     assert folder.complete(tmp_path / "part", "work", "other") is None
+    assert folder.damage(tmp_path / "part", "work", "other") == ""
     assert folder.complete(tmp_path / "part", "play", "hash") is None
-    (tmp_path / "part" / "out.txt").unlink()
+    assert folder.damage(tmp_path / "part", "play", "hash") == ""
+    out.unlink()
     assert folder.complete(tmp_path / "part", "work", "hash") is None
+    assert folder.damage(tmp_path / "part", "work", "hash") == "'part/out.txt' is missing"
 
 
-def test_a_damaged_record_counts_as_none(tmp_path):
+def test_a_damaged_record_counts_as_none_and_is_named(tmp_path):
     folder = RunFolder(tmp_path)
-    for text in ("", "{", "[]", '{"stage": "work"}'):
-        (tmp_path / "work.stage.json").write_text(text)
+    path = tmp_path / "work.stage.json"
+    folder.write_record(tmp_path, StageRecord("work", "hash", 1.5, numbers={"loss": 0.25}))
+    assert folder.complete(tmp_path, "work", "hash")
+    edited = path.read_text().replace("0.25", "0.52")
+    for text in ("", "{", "[]", '{"stage": "work"}', "[" * 100_000, edited):
+        path.write_text(text)
         assert folder.complete(tmp_path, "work", "hash") is None
+        assert "'work.stage.json' is not as it" in folder.damage(tmp_path, "work", "hash")
 
 
 def test_a_failed_write_leaves_the_old_file_and_no_temporary(tmp_path, monkeypatch):
