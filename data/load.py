@@ -9,6 +9,7 @@ import re
 import tomllib
 from collections.abc import Mapping
 from functools import cache
+from math import isfinite
 from pathlib import Path
 
 from . import limits
@@ -17,6 +18,7 @@ from .references import FOLDER, Reference, read_references, shipped_references
 from .schema import (
     KINDS,
     Alloy,
+    Calibration,
     CalibrationScene,
     CorrosionParameters,
     Element,
@@ -30,7 +32,8 @@ from .units import UNITS
 CALIBRATIONS = ("closed", "discrete")
 SATURATIONS = ("as_published", "complementarity", "none")
 BOUNDARIES = ("refreshed", "no_flux")
-DOMAINS = ("cylinder",)
+DOMAINS = ("cylinder", "ball")
+_MOST_SAMPLES = 100_000
 
 
 class Table:
@@ -72,6 +75,13 @@ class Table:
         if not good or not values or len(set(values)) < len(values):
             raise self.fail(key, f"is {values!r}; it must be a list of different names")
         return values
+
+    def number(self, key: str) -> float:
+        """Return a finite number without a unit."""
+        value = self._take(key)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
+            raise self.fail(key, f"is {value!r}; it must be a finite number without quotes")
+        return float(value)
 
     def integer(self, key: str, lowest: int, highest: int, default: int | None = None) -> int:
         """Return a whole number within a range."""
@@ -347,6 +357,52 @@ def load_parameter_set(name: str | Path) -> ParameterSet:
         alloys=alloys,
         first_published=file.source_or_none("first_published"),
         note=file.text("note", default=""),
+        calibrations=_calibrations(file),
     )
     file.done()
     return loaded
+
+
+def _calibrations(file: Table) -> Mapping[str, Calibration]:
+    """The calibrations of a parameter set's file, by alloy; none where it has none."""
+    if "calibrations" not in file.entries:
+        return {}
+    return {alloy: _calibration(table) for alloy, table in file.tables("calibrations").items()}
+
+
+def _calibration(table: Table) -> Calibration:
+    names = tuple(table.texts("parameters"))
+    unknown = [name for name in names if name not in limits.CORROSION_PARAMETERS]
+    if unknown:
+        known = ", ".join(limits.CORROSION_PARAMETERS)
+        raise table.fail("parameters", f"has '{unknown[0]}'; known are {known}")
+    found = Calibration(
+        data=table.text("data"),
+        sha256=table.text("sha256"),
+        measurements=table.integer("measurements", 1, 10**6),
+        loss=table.number("loss"),
+        scatter=table.number("scatter"),
+        scatter_estimated=table.text("scatter_is", allowed=("given", "estimated")) == "estimated",
+        parameters=names,
+        samples=_samples(table, names),
+        not_seen=tuple(table.texts("not_seen")) if "not_seen" in table.entries else (),
+    )
+    table.done()
+    return found
+
+
+def _samples(table: Table, names: tuple[str, ...]) -> tuple[tuple[float, ...], ...]:
+    rows = table._take("samples")
+    if not isinstance(rows, list) or not 1 <= len(rows) <= _MOST_SAMPLES:
+        raise table.fail("samples", f"must be a list of 1 to {_MOST_SAMPLES} rows")
+    for number, row in enumerate(rows, start=1):
+        if not isinstance(row, list) or len(row) != len(names):
+            raise table.fail("samples", f"row {number} must have {len(names)} numbers")
+        for name, value in zip(names, row, strict=True):
+            is_number = isinstance(value, int | float) and not isinstance(value, bool)
+            allowed = limits.CORROSION_PARAMETERS[name]
+            if not is_number or not isfinite(value) or not allowed.hold(value):
+                raise table.fail(
+                    "samples", f"row {number} has {name} {value!r}; it must be {allowed}"
+                )
+    return tuple(tuple(float(value) for value in row) for row in rows)

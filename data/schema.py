@@ -5,13 +5,14 @@ checked. All dimensions are stated with each field; `.si` is the number that mod
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 from .units import to_si
 
 KINDS: dict[str, str] = {
     "measured": "the result of an experiment",
     "fitted": "fitted to an experiment or to other data",
+    "not_identified": "held in a fit whose data do not determine it",
     "assumed": "chosen by this project, because no source gives it",
     "published": "printed in the source",
     "published_uncorrected": "printed in the source and known to be wrong; kept for comparison",
@@ -19,7 +20,7 @@ KINDS: dict[str, str] = {
 }
 """Kinds of quantities and what each means."""
 
-TO_BE_REPORTED = ("assumed", "fitted")
+TO_BE_REPORTED = ("assumed", "fitted", "not_identified")
 """The kinds that a report lists one by one."""
 
 
@@ -61,8 +62,8 @@ class Record:
     def quantities(self) -> dict[str, Quantity]:
         """Return every quantity of the record by dotted name, in the order of the fields."""
         found: dict[str, Quantity] = {}
-        for field in fields(self):
-            _collect(field.name, getattr(self, field.name), found)
+        for entry in fields(self):
+            _collect(entry.name, getattr(self, entry.name), found)
         return found
 
     def assumed(self) -> dict[str, Quantity]:
@@ -157,7 +158,7 @@ class CalibrationScene(Record):
     """The scene a parameter set was fitted in: its result belongs to that scene."""
 
     solid: str
-    domain: str  # "cylinder"
+    domain: str  # "cylinder" or "ball"
     diameter: Quantity  # m
     height: Quantity  # m
     nodes: Quantity
@@ -182,8 +183,30 @@ class CorrosionParameters(Record):
 
 
 @dataclass(frozen=True)
+class Calibration:
+    """How one alloy's parameters were fitted.
+
+    data: the file of measurements and its sha256; measurements: how many; loss: sum of squared
+    residuals over standard deviations (5.15); scatter: mean standard deviation of V_L, estimated
+    from the residuals where scatter_estimated; parameters: names of what the data determine;
+    samples: of their posterior, equal weights, SI, one row per sample; not_seen: sentences on the
+    directions that the data do not see.
+    """
+
+    data: str
+    sha256: str
+    measurements: int
+    loss: float
+    scatter: float
+    scatter_estimated: bool
+    parameters: tuple[str, ...]
+    samples: tuple[tuple[float, ...], ...]
+    not_seen: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class ParameterSet(Record):
-    """A published parameter set: one scene and the parameters of each alloy."""
+    """A parameter set, published or fitted: one scene and the parameters of each alloy."""
 
     name: str
     title: str
@@ -192,6 +215,7 @@ class ParameterSet(Record):
     alloys: Mapping[str, CorrosionParameters]
     first_published: str = ""
     note: str = ""
+    calibrations: Mapping[str, Calibration] = field(default_factory=dict)
 
     def for_alloy(self, alloy: str) -> CorrosionParameters:
         """Return the parameters of one alloy. Raises ValueError when the set has none."""

@@ -28,14 +28,18 @@ from pipeline.scene.units import METRES_PER, parse_angle, parse_length, parse_ti
 _SCREW_LENGTHS = ("diameter", "length", "pitch", "slot_width", "slot_depth")
 
 
-def add_scene_options(parser: argparse.ArgumentParser) -> None:
-    """Add every option from which `scene_from_options` builds the scene."""
+def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -> None:
+    """Add every option from which `scene_from_options` builds the scene.
+
+    immersion: whether times are asked for; a caller that does not ask sets them.
+    """
     parser.add_argument(
         "--alloy", nargs="+", required=True, metavar="A", help="alloy name, or TOML file of one"
     )
-    parser.add_argument(
-        "--immersion", nargs="+", required=True, metavar="T", help="rising times: 8w, 56d, 36h"
-    )
+    if immersion:
+        parser.add_argument(
+            "--immersion", nargs="+", required=True, metavar="T", help="rising times: 8w, 56d, 36h"
+        )
     parser.add_argument(
         "--resolution", default="quick", metavar="R", help=f"{', '.join(RESOLUTIONS)} (quick)"
     )
