@@ -13,6 +13,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+from pipeline.calibration.command import add_calibrate_options
 from pipeline.record import interruption
 from pipeline.scene.options import add_scene_options
 
@@ -73,6 +74,10 @@ def build_parser() -> argparse.ArgumentParser:
     plan = add("plan", _plan, "what a run would compute, what not and why, time and memory")
     add_scene_options(plan)
     plan.add_argument("--json", action="store_true", help="as one JSON object")
+    calibrate = add("calibrate", _calibrate, "constants from measured volume loss, with doubts")
+    add_scene_options(calibrate, immersion=False)
+    add_calibrate_options(calibrate)
+    _add_folder_options(calibrate)
     add("alloys", _alloys, "the alloys and parameter sets that are known")
     bench = add("bench", _bench, "benchmarks of this machine")
     bench.add_argument("name", metavar="NAME", help="name of a benchmark, or list")
@@ -273,6 +278,13 @@ def _plan(options: argparse.Namespace) -> int:
         print(json.dumps(plan.to_json(), indent=2))
     else:
         print_plan(plan)
+    return 0
+
+
+def _calibrate(options: argparse.Namespace) -> int:
+    from pipeline.calibration.command import run_calibrate
+
+    run_calibrate(options, print)
     return 0
 
 

@@ -56,7 +56,7 @@ BELOW = {
         "calibration": {"scene", "geometry", "record", "stages"},
         "life_cycle": {"scene", "geometry", "record", "stages", "report"},
         "benches": {"scene", "geometry", "record", "stages", "studies", "life_cycle"},
-        "cli": {"scene", "record", "stages", "studies", "life_cycle", "benches"},
+        "cli": {"scene", "record", "stages", "studies", "calibration", "life_cycle", "benches"},
     },
 }
 """Package -> room -> the rooms that it may import from, besides itself."""

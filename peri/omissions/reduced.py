@@ -318,10 +318,9 @@ def _invert(integral: Array, slope: Array, wanted: Array) -> Array:
         steepness = np.sum(slope * basis[:, :_POINTS], axis=1)
         step = np.divide(excess, steepness, where=steepness > 0, out=np.full_like(x, 4.0))
         tried = x - step
-        tried = np.where((tried > low) & (tried < high), tried, 0.5 * (low + high))
-        tried = np.where(excess == 0, x, tried)
-        done = np.abs(tried - x) <= 4e-16
-        x = tried
+        done = np.abs(step) <= 1e-13
+        within = (tried > low) & (tried < high)
+        x = np.where(done, x, np.where(within, tried, 0.5 * (low + high)))
         if done.all():
             break
     return x

@@ -79,9 +79,9 @@ class Calibrated:
         if self.without_effect:
             names = " and ".join(symbols[name] for name in self.without_effect)
             verb = "have" if len(self.without_effect) > 1 else "has"
+            bound = f"{100 * (self.clean or 0.0):.2g} %"
             said.append(
-                f"{names} {verb} no effect in clean liquid (less than {100 * (self.clean or 0):.2g} % "
-                "of the volume loss)"
+                f"{names} {verb} no effect in clean liquid (less than {bound} of the volume loss)"
             )
         return list(dict.fromkeys(said))
 

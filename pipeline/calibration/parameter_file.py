@@ -95,7 +95,7 @@ def write_parameter_set(
         if new is None:
             lines += _quantity(
                 key, quantity.si, units[field.name], quantity.kind,
-                f"taken from {base.name}, {quantity.where}", _shipped(quantity.source),
+                f"taken from {base.name}", _shipped(quantity.source), quantity.where,
             )  # fmt: skip
         else:
             lines += _quantity(key, new.value, units[field.name], new.kind, new.note)
@@ -127,10 +127,16 @@ def _shipped(source: str) -> str:
 
 
 def _quantity(
-    key: str, value: float, unit: str, kind: str, note: str = "", source: str = SOURCE
+    key: str,
+    value: float,
+    unit: str,
+    kind: str,
+    note: str = "",
+    source: str = SOURCE,
+    where: str = "this fit",
 ) -> list[str]:
     lines = ["", f"[{key}]", f"value = {value:.10g}", f"unit = {_text(unit)}"]
-    lines += [f"source = {_text(source)}", 'where = "this fit"', f"kind = {_text(kind)}"]
+    lines += [f"source = {_text(source)}", f"where = {_text(where)}", f"kind = {_text(kind)}"]
     return lines + ([f"note = {_text(note)}"] if note else [])
 
 

@@ -105,7 +105,7 @@ def write_calibration(
     out: Path, base: str, found: Calibrated, implant: Implant, data: Path, digest: str
 ) -> Sequence[Path]:
     """Write the parameter set, its bibliography and calibration.json; returns their paths."""
-    scene, result = found.scene, found.result
+    scene = found.scene
     geometry = scene.geometry
     solid = "solid from a file"
     if isinstance(geometry, ScrewGeometry):
@@ -123,7 +123,9 @@ def write_calibration(
             saturation=scene.corrosion.saturation,
             boundary=scene.domain.boundary,
         ),
-        FittedAlloy(found.alloy, _constants(found), _calibration(found, data, digest), _samples(found)),
+        FittedAlloy(
+            found.alloy, _constants(found), _calibration(found, data, digest), _samples(found)
+        ),
     )
     write_json(out / JSON_FILE, _as_json(found, data, digest))
     return written, out / BIBLIOGRAPHY_FILE, out / JSON_FILE
@@ -181,7 +183,9 @@ def _as_json(found: Calibrated, data: Path, digest: str) -> dict[str, object]:
         "bound_of_clean_liquid": found.clean,
         "constants": {n: {"value": v, "kind": "fitted"} for n, v in result.values.items()}
         | {
-            n: "not identified" if _kind(found, n) == "not_identified" else {"value": v, "kind": "held"}
+            n: "not identified"
+            if _kind(found, n) == "not_identified"
+            else {"value": v, "kind": "held"}
             for n, v in found.held.items()
         },
         "held_at": found.held,

@@ -18,7 +18,7 @@ from pipeline.scene.scene import AlloyScene, Scene
 
 logger = logging.getLogger(__name__)
 
-TO_BE_LISTED = ("assumed", "fitted", "published_uncorrected")
+TO_BE_LISTED = ("assumed", "fitted", "not_identified", "published_uncorrected")
 """The kinds of values that a report must list one by one."""
 
 SYMBOLS = {

@@ -82,7 +82,7 @@ REFUSALS = [
         MG5GD,
         in_table("young_modulus", "kind"),
         r'\1kind = "guessed"',
-        "young_modulus.kind is 'guessed'; it must be one of measured, fitted, assumed, published",
+        "young_modulus.kind is 'guessed'; it must be one of measured, fitted, not_identified, ",
     ),
     (
         MG5GD,
