@@ -44,6 +44,7 @@ BELOW = {
         "reference": {"engine"},
         "transport": {"engine"},
         "corrosion": {"engine", "parallel"},
+        "coupled": {"engine", "transport", "corrosion"},
         "omissions": {"engine", "corrosion"},
     },
     "pipeline": {

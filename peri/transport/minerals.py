@@ -147,7 +147,7 @@ def _kinetic(
 ) -> int:
     space, mineral = liquid.space, liquid.minerals[number]
     start = mineral.ln_omega(state.ln_component)
-    # Open from the first moment that the threshold is passed until the mineral is gone.
+    # Open where the threshold is passed, and as long as the mineral is there.
     state.active[number] |= mineral.region & (start > mineral.ln_nucleation)
     is_open = mineral.region & (state.active[number] | (there > 0))
     iterations = 0

@@ -26,7 +26,7 @@ import numpy as np
 from peri.engine.constants import FARADAY, GAS_CONSTANT
 from peri.engine.solvers import ConvergenceError
 from peri.transport.activity import conditional_constants, mineral_constants
-from peri.transport.composition import Composer
+from peri.transport.composition import Composer, CompositionError
 from peri.transport.fluxes import FLUX_FORMS, LARGEST_SQRA_STEP, largest_bond_step, migration
 from peri.transport.liquid import LiquidSpace, LiquidState
 from peri.transport.minerals import MineralField, solve_mineral
@@ -225,6 +225,8 @@ class QuasiSteadyLiquid:
         start: LiquidState | None = None,
         amounts: np.ndarray | None = None,
         step: float = np.inf,
+        *,
+        minerals: bool = True,
     ) -> LiquidState:
         """Return the liquid that a release keeps up.
 
@@ -234,6 +236,7 @@ class QuasiSteadyLiquid:
         start : a state to begin with
         amounts : (M, n) minerals that are there, mol/m3; what dissolves is limited by them
         step : s, the time over which no more than `amounts` can dissolve
+        minerals : False keeps all minerals from forming
 
         Raises
         ------
@@ -251,17 +254,43 @@ class QuasiSteadyLiquid:
         if scale == 0.0:
             scale = float(np.linalg.norm(space.volume)) * 1e-12
         absolute = options.tolerance * scale
-        state.release, used = space.solve(self.plain, right, state.release, 0.1 * absolute)
+        before = state.release
+        state.release, used = space.solve(self.plain, right, before, 0.1 * absolute)
         state.iterations += used
-        self.compose(state)
+        self._begin(state, before)
+        there = there if minerals else None
+        for mineral, active in zip(self.minerals, state.active, strict=True):
+            if not mineral.in_equilibrium:
+                active[:] = False  # what is there is open in any case
         self._grow(state, there, step, absolute)
         if options.closure != "none":
             self._close(state, there, step, absolute)
         return state
 
-    def _grow(self, state: LiquidState, there: np.ndarray, step: float, absolute: float) -> None:
+    def _begin(self, state: LiquidState, before: np.ndarray) -> None:
+        """A first composition: what the start holds of minerals and migration, scaled with g.
+
+        Pi is linear in the three, so a start that has a composition keeps one when all change
+        alike; where they do not, minerals and migration start from zero, which always has one.
+        """
+        old, new = float(np.linalg.norm(before)), float(np.linalg.norm(state.release))
+        ratio = new / old if old > 0 else 0.0
+        composition = state.ln_component.copy()
+        state.extents *= ratio
+        state.migrated *= ratio
+        try:
+            self.compose(state)
+        except CompositionError:
+            state.extents[:] = 0.0
+            state.migrated[:] = 0.0
+            state.ln_component = composition
+            self.compose(state)
+
+    def _grow(
+        self, state: LiquidState, there: np.ndarray | None, step: float, absolute: float
+    ) -> None:
         """Bring the minerals in balance with the rest, one after the other until none changes."""
-        if not self.minerals:
+        if not self.minerals or there is None:
             return
         for _ in range(_MAXIMUM_SWEEPS):
             change = 0.0
@@ -288,12 +317,14 @@ class QuasiSteadyLiquid:
     ) -> bool:
         ln_omega = mineral.ln_omega(state.ln_component)
         return bool(
-            (there > 0).any()
+            there.any()
             or state.rates[number].any()
             or ((ln_omega > mineral.ln_nucleation) & mineral.region).any()
         )
 
-    def _close(self, state: LiquidState, there: np.ndarray, step: float, absolute: float) -> None:
+    def _close(
+        self, state: LiquidState, there: np.ndarray | None, step: float, absolute: float
+    ) -> None:
         """Sweep: potential from the net charge at each node, then the ions' migration in it."""
         space, chemistry = self.space, self.chemistry
         z2 = chemistry.charge**2

@@ -1,0 +1,124 @@
+"""The liquid around the metal of a corrosion scene, and what the metal releases into it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from peri.corrosion.bimaterial import BiMaterial
+from peri.transport.liquid import LiquidSpace, LiquidState
+from peri.transport.nernst_planck import QuasiSteadyLiquid, TransportOptions
+from peri.transport.speciation import Solution
+
+MAGNESIUM = {"Mg": 1.0, "OH": 2.0}
+"""Mg + 2 H2O -> Mg2+ + 2 OH- + H2: what anode and cathode at one place set free per mole."""
+
+HYDROGEN_PER_METAL = 1.0
+"""Moles of H2 per mole of magnesium."""
+
+
+class Surroundings:
+    """Liquid nodes, chemistry and release for the present phases of a bi-material problem.
+
+    Parameters
+    ----------
+    discrete : BiMaterial, in one process
+    medium : Solution of one node, what refreshed nodes hold
+    options : TransportOptions
+
+    pockets : number of liquid nodes that no bonds join to the refreshed layer; they have no steady
+        state and take no part (their release is `pocket_share` of the whole).
+
+    Raises
+    ------
+    ValueError
+        Without a refreshed layer, or where the whole lattice is not in this process.
+    """
+
+    def __init__(
+        self, discrete: BiMaterial, medium: Solution, options: TransportOptions | None = None
+    ) -> None:
+        scene = discrete.scene
+        if not discrete.processes.whole:
+            raise ValueError("ranks: the liquid's chemistry needs the whole lattice in one process")
+        if scene.dissolution != "proportional":
+            raise ValueError(
+                f"dissolution: '{scene.dissolution}' with the ions of the liquid; allowed: "
+                "proportional"
+            )
+        fixed = discrete.sum.crop(discrete.fixed.astype(float)) > 0
+        if not fixed.any():
+            raise ValueError(
+                f"boundary: '{scene.boundary}' leaves no refreshed liquid; the quasi-steady ions "
+                "need 'refreshed'"
+            )
+        metal = discrete.sum.crop(discrete.metal.astype(float)) > 0
+        liquid = scene.domain & ~metal
+        capacity = scene.capacity()
+        space = LiquidSpace(scene.stencil, liquid, fixed, capacity)
+        lost = space.cut_off()
+        self.pockets = int(lost.sum())
+        if self.pockets:
+            gone = space.crop(lost.astype(float), elsewhere=0.0) > 0
+            space = LiquidSpace(scene.stencil, liquid & ~gone, fixed, capacity)
+        self.space, self.discrete = space, discrete
+        near = np.zeros(space.n, bool)
+        if discrete.box is not None:
+            seen = discrete.put(discrete.box(discrete.box_metal_volume))
+            near = space.gather(seen) > 0
+        self.near = near
+        self.liquid = QuasiSteadyLiquid(space, medium, MAGNESIUM, near, options)
+        self.pocket_share = 0.0
+
+    def source(
+        self, concentration: np.ndarray, theta: np.ndarray | None, volume_loss: float
+    ) -> np.ndarray:
+        """Metal released into each node, mol/m3/s, (n,): the interface bonds of the bi-material.
+
+        D_int g(V_L) theta_j sum_{metal i} c_i w_ij (C_i - C_j); concentration : padded field,
+        theta : padded field of the box or None (all 1).
+        """
+        discrete = self.discrete
+        if discrete.box is None:
+            return np.zeros(self.space.n)
+        values = discrete.take(concentration)
+        rate = discrete.base_diffusivity * discrete.scene.kinetics.factor(volume_loss)
+        volume = discrete.box_metal_volume
+        inflow = rate * (discrete.box(volume * values) - values * discrete.box(volume))
+        if theta is not None:
+            inflow = inflow * theta
+        free = discrete.box_free_volume > 0
+        inflow = np.where(free & ~discrete.box_metal, inflow, 0.0)
+        field = discrete.put(inflow)
+        source = self.space.gather(field)
+        whole = float((inflow * discrete.box_free_volume).sum())
+        there = float(self.space.volume @ source)
+        self.pocket_share = 1.0 - there / whole if whole > 0 else 0.0
+        return source
+
+    def carried_over(self, state: LiquidState, older: Surroundings) -> LiquidState:
+        """A state on this space from one on an older one; new nodes get their neighbours' mean."""
+        known = np.isin(self.space.index, older.space.index)
+        place = np.searchsorted(older.space.index, self.space.index[known])
+        degree = np.maximum(self.space.neighbours(known.astype(float)), 1e-300)
+
+        def moved(values: np.ndarray) -> np.ndarray:
+            new = np.zeros(self.space.n)
+            new[known] = values[place]
+            if not known.all():
+                new[~known] = (self.space.neighbours(new) / degree)[~known]
+            return new
+
+        def rows(values: np.ndarray) -> np.ndarray:
+            return np.array([moved(row) for row in values]).reshape(len(values), self.space.n)
+
+        return LiquidState(
+            rows(state.ln_component),
+            rows(state.concentration),
+            moved(state.release),
+            rows(state.extents),
+            rows(state.migrated),
+            rows(state.rates),
+            moved(state.psi),
+            moved(state.net_charge),
+            active=[moved(a.astype(float)) >= 1.0 for a in state.active],
+        )
