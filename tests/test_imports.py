@@ -42,6 +42,7 @@ BELOW = {
         "engine": set(),
         "parallel": {"engine"},
         "reference": {"engine"},
+        "schemes": {"engine"},
         "transport": {"engine"},
         "corrosion": {"engine", "parallel"},
         "coupled": {"engine", "transport", "corrosion"},
