@@ -16,6 +16,7 @@ from .load import (
     load_medium,
     load_parameter_set,
 )
+from .names import did_you_mean
 from .reactions import ReactionSet, list_reaction_sets, load_reaction_set
 from .references import Reference, load_reference
 from .schema import KINDS, Alloy, CorrosionParameters, Medium, ParameterSet, Quantity
@@ -31,6 +32,7 @@ __all__ = [
     "ReactionSet",
     "Reference",
     "VolumeLossData",
+    "did_you_mean",
     "list_alloys",
     "list_media",
     "list_parameter_sets",

@@ -41,6 +41,9 @@ ELEMENT = {
     "molar_mass": _above_zero("molar mass", 0.3),
 }
 
+LARGEST_YIELD_STRAIN = 0.05
+"""Yield stress over Young modulus; metals lie below 0.02, more is a slip in a unit."""
+
 ALLOY = {
     "charge_number": Limits("dimensionless", 1, 4),
     "young_modulus": _above_zero("pressure", 1e12),

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from . import limits
 from .limits import Limits
+from .names import did_you_mean
 from .references import FOLDER, Reference, read_references, shipped_references
 from .schema import (
     KINDS,
@@ -65,7 +66,11 @@ class Table:
         if not isinstance(value, str) or not (value.strip() or default == ""):
             raise self.fail(key, f"is {value!r}; it must be a text in quotes")
         if allowed and value not in allowed:
-            raise self.fail(key, f"is '{value}'; it must be one of {', '.join(allowed)}")
+            raise self.fail(
+                key,
+                f"is '{value}'{did_you_mean(value, allowed)}; it must be one of "
+                f"{', '.join(allowed)}",
+            )
         return value
 
     def texts(self, key: str) -> list[str]:
@@ -171,6 +176,8 @@ def read(path: Path) -> Table:
         raise FileNotFoundError(f"{path}: there is no such file") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: not a valid TOML file: {error}") from None
+    except RecursionError:
+        raise ValueError(f"{path}: not a file of this kind: it is nested too deeply") from None
     sources = shipped_references()
     beside = path.parent / "references.bib"
     if FOLDER not in path.resolve().parents and beside.exists():
@@ -194,7 +201,10 @@ def path_of(folder: str, what: str, name: str | Path) -> Path:
     if isinstance(name, Path) or name.endswith(".toml"):
         return Path(name)
     if name not in shipped(folder):
-        raise ValueError(f"{what} '{name}' is unknown; known are {', '.join(shipped(folder))}")
+        near = did_you_mean(name, shipped(folder))
+        raise ValueError(
+            f"{what} '{name}' is unknown{near}; known are {', '.join(shipped(folder))}"
+        )
     return shipped(folder)[name]
 
 
@@ -269,6 +279,13 @@ def load_alloy(name: str | Path) -> Alloy:
             "ultimate_tensile_strength",
             f"is {alloy.ultimate_tensile_strength}; it must be above the yield_stress, "
             f"{alloy.yield_stress}",
+        )
+    strain = alloy.yield_stress.si / alloy.young_modulus.si
+    if strain > limits.LARGEST_YIELD_STRAIN:
+        raise file.fail(
+            "yield_stress",
+            f"is {alloy.yield_stress}, {strain:.3g} of the young_modulus, {alloy.young_modulus}; "
+            f"it must be at most {limits.LARGEST_YIELD_STRAIN:g} of it",
         )
     return alloy
 

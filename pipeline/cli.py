@@ -9,10 +9,12 @@ import errno
 import json
 import logging
 import os
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
+from perilife_data import did_you_mean
 from pipeline.calibration.command import add_calibrate_options
 from pipeline.record import interruption
 from pipeline.scene.options import add_scene_options
@@ -32,8 +34,26 @@ STUDIES = {
 class _Parser(argparse.ArgumentParser):
     """A parser that refuses in one sentence, without repeating the usage."""
 
+    def __init__(self, *arguments: object, **options: object) -> None:
+        super().__init__(*arguments, **options)
+        # no option begins with a digit, so that -2mm is a (refused) length and no option
+        self._negative_number_matcher = re.compile(r"-\.?\d")
+
     def error(self, message: str) -> None:
-        raise ValueError(f"{message}; see `{self.prog} --help`")
+        """Refuse, with the nearest command or option where one was not understood."""
+        unknown = re.search(r"(?:unrecognized arguments: |invalid choice: ')([^\s']+)", message)
+        near = did_you_mean(unknown.group(1), self._names()) if unknown else ""
+        raise ValueError(f"{message}{near}; see `{self.prog} --help`")
+
+    def _names(self) -> set[str]:
+        """Every option and command of this parser and of those below it."""
+        names = set(self._option_string_actions)
+        for action in self._actions:
+            if isinstance(action, argparse._SubParsersAction):
+                names |= set(action.choices)
+                for parser in action.choices.values():
+                    names |= parser._names()
+        return names
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -321,8 +341,8 @@ def _study(options: argparse.Namespace) -> int:
             print(f"{name:12s} {text}")
         return 0
     if options.what not in STUDIES:
-        known = ", ".join(STUDIES)
-        raise ValueError(f"study '{options.what}' is not known; it must be one of {known}")
+        near, known = did_you_mean(options.what, STUDIES), ", ".join(STUDIES)
+        raise ValueError(f"study '{options.what}' is not known{near}; it must be one of {known}")
     if options.what == "rates":
         from pipeline.studies.rates import print_rates
 

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from perilife_data import did_you_mean
 from pipeline.benches import corrosion as bench_corrosion
 from pipeline.benches import tensile as bench_tensile
 from pipeline.benches.result import Result
@@ -39,7 +40,8 @@ def run_benchmark(name: str, small: bool = False) -> dict[str, object]:
     """
     if name not in BENCHMARKS:
         known = ", ".join(BENCHMARKS)
-        raise ValueError(f"benchmark '{name}' is not known; it must be one of {known}")
+        near = did_you_mean(name, BENCHMARKS)
+        raise ValueError(f"benchmark '{name}' is not known{near}; it must be one of {known}")
     benchmark = BENCHMARKS[name]
     if small and benchmark.small is None:
         known = ", ".join(n for n, b in BENCHMARKS.items() if b.small)

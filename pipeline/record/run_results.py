@@ -131,7 +131,7 @@ def _read_scene(path: Path) -> tuple[Scene, dict]:
     """The scene, and what else the file holds beside the fields of a scene."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"scene file '{path}' cannot be read: {error}") from None
     if isinstance(content, dict) and isinstance(content.get("scene"), dict):
         extras = {key: value for key, value in content.items() if key != "scene"}
@@ -242,7 +242,7 @@ def _read_damage(path: Path) -> NDArray[np.float64] | None:
 def _read_json(path: Path) -> dict:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return {}
     return content if isinstance(content, dict) else {}
 

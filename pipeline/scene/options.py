@@ -165,6 +165,12 @@ def scene_from_options(options: argparse.Namespace) -> Scene:
         load="load",
     )
     if options.bending_azimuth is not None:
+        load = options.load or "axial"
+        if load != "bending":  # the scene, which refuses this too, does not know the unit typed
+            raise ValueError(
+                f"bending azimuth is {options.bending_azimuth}; it must be left out where the "
+                f"load is {load}"
+            )
         tensile["bending_azimuth"] = parse_angle(options.bending_azimuth, "bending azimuth")
     for name in ("bottom_grip", "top_grip", "damage_length"):
         if getattr(options, name) is not None:

@@ -1,5 +1,7 @@
 """How a scene names the law of the dissolution rate: one word, and numbers where it takes some."""
 
+from perilife_data import did_you_mean
+
 KINETICS = {
     "volume_loss": ("length?",),
     "constant": (),
@@ -21,7 +23,8 @@ def read_kinetics(text: str) -> tuple[str, dict[str, float]]:
     """Name and numbers of a law of the rate, written as NAME:number=value,number=value."""
     name, colon, rest = text.partition(":")
     if name not in KINETICS:
-        raise ValueError(f"kinetics is '{name}'; it must be one of {', '.join(KINETICS)}")
+        near = did_you_mean(name, KINETICS)
+        raise ValueError(f"kinetics is '{name}'{near}; it must be one of {', '.join(KINETICS)}")
     numbers = {}
     for part in rest.split(",") if colon else ():
         key, _, value = (piece.strip() for piece in part.partition("="))

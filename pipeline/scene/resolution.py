@@ -10,6 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from perilife_data import did_you_mean
+
 PRESETS_FILE = Path(__file__).with_name("presets.toml")
 TENSILE_FILE = Path(__file__).with_name("presets_tensile.toml")
 NAMES = ("quick", "standard", "fine")
@@ -134,7 +136,8 @@ RESOLUTIONS: dict[str, Resolution] = read_presets()
 def resolution(name: str) -> Resolution:
     """The preset called `name`; ValueError names the known ones."""
     if name not in RESOLUTIONS:
+        near = did_you_mean(name, RESOLUTIONS)
         raise ValueError(
-            f"resolution '{name}' is not known; it must be one of {', '.join(RESOLUTIONS)}"
+            f"resolution '{name}' is not known{near}; it must be one of {', '.join(RESOLUTIONS)}"
         )
     return RESOLUTIONS[name]

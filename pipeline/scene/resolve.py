@@ -20,6 +20,7 @@ from pipeline.scene.scene import (
     SolidFile,
     TensileScene,
 )
+from pipeline.scene.solid_size import check_triangles
 from pipeline.scene.units import METRES_PER, parse_immersion_times
 
 DEFAULT_PARAMETER_SET = "table-5.1"
@@ -114,7 +115,11 @@ def solid_file(path: str | Path, unit: str) -> SolidFile:
         raise ValueError(f"solid is '{path}'; the file must end in {', '.join(SOLID_SUFFIXES)}")
     if not path.is_file():
         raise FileNotFoundError(f"solid is '{path}'; there is no such file")
-    return SolidFile(str(path.resolve()), unit, hashlib.sha256(path.read_bytes()).hexdigest())
+    if path.suffix.lower() == ".stl":
+        check_triangles(path)
+    with path.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    return SolidFile(str(path.resolve()), unit, digest)
 
 
 def _alloy_scene(name: str, parameter_set: perilife_data.ParameterSet) -> AlloyScene:

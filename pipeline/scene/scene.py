@@ -14,12 +14,18 @@ from dataclasses import dataclass, field
 
 from fem.quadrature import ELEMENTS
 from peri.engine.stepping import SCHEMES as TIME_SCHEMES
+from perilife_data import did_you_mean
+from perilife_data.limits import LARGEST_YIELD_STRAIN
 from pipeline.scene.loads import LOADS
 from pipeline.scene.rate_law import read_kinetics
 from pipeline.scene.screw import ScrewParameters
 from pipeline.scene.units import ImmersionTime, format_length
 
 SCHEMA_VERSION = 1
+YEAR = 365.25 * 86400.0
+LONGEST_IMMERSION = 100 * YEAR
+"""Seconds; longer than a person carries an implant is a slip in a unit."""
+
 DOMAIN_SHAPES = ("cylinder", "ball")
 BOUNDARIES = ("refreshed", "no_flux")
 SATURATIONS = ("complementarity", "as_published", "none")
@@ -42,12 +48,18 @@ def _check(condition: bool, name: str, value: object, allowed: str) -> None:
         raise SceneError(f"{name} is {value}; it must be {allowed}")
 
 
+def at_most(value: float, limit: float) -> bool:
+    """Whether a value is at most a positive limit, or above it by round-off only."""
+    return value <= limit * (1.0 + 1e-9)
+
+
 def _positive(name: str, value: float) -> None:
     _check(math.isfinite(value) and value > 0, name, value, "a finite number above 0")
 
 
 def _one_of(name: str, value: str, allowed: tuple[str, ...]) -> None:
-    _check(value in allowed, name, f"'{value}'", f"one of {', '.join(allowed)}")
+    near = did_you_mean(value, allowed)
+    _check(value in allowed, name, f"'{value}'{near}", f"one of {', '.join(allowed)}")
 
 
 @dataclass(frozen=True)
@@ -218,6 +230,12 @@ class MaterialParameters:
         _check(finite, "hardening capacity", capacity, "a finite number, at least 0")
         _positive("hardening rate", self.hardening_rate)
         _check(1 < self.q1 < 10, "q1", self.q1, "above 1 and below 10")
+        _check(
+            at_most(self.initial_yield_stress, LARGEST_YIELD_STRAIN * self.young_modulus),
+            "initial yield stress",
+            f"{self.initial_yield_stress:g} Pa",
+            f"at most {LARGEST_YIELD_STRAIN:g} of the Young modulus, {self.young_modulus:g} Pa",
+        )
 
 
 @dataclass(frozen=True)
@@ -249,7 +267,7 @@ class MeshSettings:
         _positive("mesh size", self.size)
         _positive("fine mesh size", self.size_fine)
         _check(
-            self.size_fine <= self.size,
+            at_most(self.size_fine, self.size),
             "fine mesh size",
             format_length(self.size_fine),
             f"at most the mesh size, {format_length(self.size)}",
@@ -297,7 +315,7 @@ class TensileScene:
         _check(
             azimuth is None or self.load == "bending",
             "bending azimuth",
-            f"{azimuth} rad",
+            None if azimuth is None else f"{math.degrees(azimuth):g}deg",
             f"left out where the load is {self.load}",
         )
         _check(azimuth is None or math.isfinite(azimuth), "bending azimuth", azimuth, "finite")
@@ -314,7 +332,7 @@ class TensileScene:
             _check(math.isfinite(value) and value >= 0, name.replace("_", " "), value, "at least 0")
         _check(0 < self.final_strain <= 1, "final strain", self.final_strain, "in (0, 1]")
         _check(
-            0 < self.increment <= self.final_strain,
+            0 < self.increment and at_most(self.increment, self.final_strain),
             "tensile increment",
             self.increment,
             f"above 0 and at most the final strain, {self.final_strain}",
@@ -350,11 +368,18 @@ class Scene:
             [time.label for time in self.immersion],
             "at least 0 and rising",
         )
+        last = self.immersion[-1]
+        _check(
+            last.seconds <= LONGEST_IMMERSION,
+            "immersion time",
+            f"{last.label}, {last.seconds / YEAR:.4g} years",
+            f"at most {LONGEST_IMMERSION / YEAR:g} years",
+        )
         least = self.lattice.horizon + self.lattice.spacing
         for name in ("radial_margin", "axial_margin"):
             margin = getattr(self.domain, name)
             _check(
-                margin >= least - 1e-12 or self.domain.boundary != "refreshed",
+                at_most(least, margin) or self.domain.boundary != "refreshed",
                 name.replace("_", " "),
                 format_length(margin),
                 f"at least horizon plus lattice spacing, {format_length(least)}",
@@ -365,16 +390,14 @@ class Scene:
         for alloy in self.alloys:
             if alloy.name == name:
                 return alloy
-        known = ", ".join(alloy.name for alloy in self.alloys)
-        raise SceneError(f"alloy '{name}' is not part of this run; it has {known}")
+        raise _not_part("alloy", name, [alloy.name for alloy in self.alloys])
 
     def time(self, label: str) -> ImmersionTime:
         """The immersion time called `label`; SceneError names those of the scene."""
         for time in self.immersion:
             if time.label == label:
                 return time
-        known = ", ".join(time.label for time in self.immersion)
-        raise SceneError(f"immersion time '{label}' is not part of this run; it has {known}")
+        raise _not_part("immersion time", label, [time.label for time in self.immersion])
 
     def with_intact(self) -> tuple[ImmersionTime, ...]:
         """The immersion times with time zero in front, which the strength ratio needs."""
@@ -389,6 +412,11 @@ class Scene:
     def hash(self) -> str:
         """Hash of everything in the scene."""
         return content_hash(self.to_json())
+
+
+def _not_part(what: str, name: str, known: list[str]) -> SceneError:
+    near = did_you_mean(name, known)
+    return SceneError(f"{what} '{name}'{near} is not part of this run; it has {', '.join(known)}")
 
 
 def content_hash(*parts: object) -> str:
@@ -424,8 +452,9 @@ def _build(kind: typing.Any, value: typing.Any, where: str) -> typing.Any:
     if dataclasses.is_dataclass(kind):
         _check(isinstance(value, dict), where, value, "an object")
         hints = typing.get_type_hints(kind)
-        unknown = sorted(set(value) - set(hints))
-        _check(not unknown, f"field '{', '.join(unknown)}' of {where}", "unknown", "left out")
+        for name in sorted(set(value) - set(hints)):
+            near = did_you_mean(name, hints)
+            _check(False, f"field '{name}' of {where}", f"unknown{near}", "left out")
         missing = sorted(
             f.name
             for f in dataclasses.fields(kind)

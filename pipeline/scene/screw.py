@@ -12,6 +12,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from perilife_data import did_you_mean
+
 THREADS = ("helical", "grooves", "none")
 
 
@@ -46,7 +48,8 @@ class ScrewParameters:
         _range("length", self.length, 0.1 * self.diameter, 50 * self.diameter)
         if self.thread not in THREADS:
             raise ValueError(
-                f"thread is {self.thread!r}: allowed are {', '.join(map(repr, THREADS))}."
+                f"thread is {self.thread!r}{did_you_mean(self.thread, THREADS)}: allowed are "
+                f"{', '.join(map(repr, THREADS))}."
             )
         _range("pitch", self.pitch, self.diameter / 20, self.diameter / 2)
         angle = math.degrees(self.thread_angle)

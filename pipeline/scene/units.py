@@ -3,6 +3,7 @@
 import math
 import re
 from dataclasses import dataclass
+from decimal import Decimal
 
 SECONDS_PER = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "w": 604800.0}
 """Time units accepted on the command line and their length in seconds."""
@@ -41,9 +42,10 @@ def parse_time(text: str, field: str = "immersion time") -> ImmersionTime:
             f"{field} '{text}' is not understood; give a number and a unit out of "
             f"{allowed}, for example 8w, 56d or 36h"
         )
-    seconds = float(match.group(1)) * SECONDS_PER[match.group(2)]
-    if not math.isfinite(seconds) or seconds < 0 or match.group(1).startswith("-"):
-        raise ValueError(f"{field} '{text}' is negative or infinite; it must be at least 0")
+    seconds = _in_si(match.group(1), SECONDS_PER[match.group(2)])
+    _refuse_negative(match.group(1), text, field)
+    if not math.isfinite(seconds):
+        raise ValueError(f"{field} '{text}' is infinite; it must be a finite time")
     return ImmersionTime(label=text.strip().replace(" ", ""), seconds=seconds)
 
 
@@ -57,7 +59,7 @@ def parse_immersion_times(texts: list[str] | tuple[str, ...]) -> tuple[Immersion
         raise ValueError("no immersion time was given; give at least one, for example 8w")
     times = tuple(parse_time(text) for text in texts)
     for earlier, later in zip(times, times[1:], strict=False):
-        if later.seconds == earlier.seconds:
+        if math.isclose(later.seconds, earlier.seconds, rel_tol=1e-9):
             raise ValueError(
                 f"immersion times {earlier.label} and {later.label} are the same time; "
                 "each must be given once"
@@ -112,22 +114,42 @@ def parse_angle(text: str, field: str = "angle") -> float:
 
     Raises ValueError with one sentence when the number or the unit is missing or wrong.
     """
-    return _parse(text, field, RADIANS_PER, "30deg")
+    return _parse(text, field, RADIANS_PER, "30deg")[1]
 
 
 def parse_length(text: str, field: str = "length") -> float:
     """Read a length such as `2mm` or `100um` and return metres.
 
-    Raises ValueError with one sentence when the number or the unit is missing or wrong.
+    Raises ValueError with one sentence when the number or the unit is missing or wrong, or the
+    length negative.
     """
-    return _parse(text, field, METRES_PER, "2mm or 100um")
+    number, metres = _parse(text, field, METRES_PER, "2mm or 100um")
+    _refuse_negative(number, text, field)
+    return metres
 
 
-def _parse(text: str, field: str, units: dict[str, float], example: str) -> float:
+def _refuse_negative(number: str, text: str, field: str) -> None:
+    if number.startswith("-"):
+        raise ValueError(f"{field} '{text}' is negative; it must be at least 0")
+
+
+def _in_si(number: str, factor: float) -> float:
+    """A typed number times the size of its unit, rounded once: 300um is 0.3mm to the last bit."""
+    try:
+        return float(Decimal(number) * Decimal(repr(factor)))
+    except ArithmeticError:  # an exponent beyond all bounds
+        return math.inf
+
+
+def _parse(text: str, field: str, units: dict[str, float], example: str) -> tuple[str, float]:
+    """The number as typed, and the quantity in the SI unit."""
     match = _QUANTITY.fullmatch(text.strip())
     if match is None or match.group(2) not in units:
         raise ValueError(
             f"{field} '{text}' is not understood; give a number and a unit out of "
             f"{', '.join(units)}, for example {example}"
         )
-    return float(match.group(1)) * units[match.group(2)]
+    value = _in_si(match.group(1), units[match.group(2)])
+    if not math.isfinite(value):
+        raise ValueError(f"{field} '{text}' is infinite; it must be finite")
+    return match.group(1), value

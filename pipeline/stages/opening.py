@@ -58,8 +58,10 @@ def read_scene(folder: RunFolder) -> Scene:
         raise RunFolderError(f"'{folder.path}' holds no {SCENE_FILE}, so it is no run folder")
     try:
         return scene_from_json(json.loads(folder.scene_file.read_text(encoding="utf-8")))
-    except json.JSONDecodeError as error:
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise SceneError(f"'{folder.scene_file}' is not JSON: {error}") from None
+    except RecursionError:
+        raise SceneError(f"'{folder.scene_file}' is no scene: it is nested too deeply") from None
 
 
 def check_folder(folder: RunFolder, scene: Scene, resume: bool) -> None:
@@ -68,6 +70,11 @@ def check_folder(folder: RunFolder, scene: Scene, resume: bool) -> None:
     if path.exists() and not path.is_dir():
         raise NotADirectoryError(f"run folder '{path}' is a file; it must be a folder or new")
     if not folder.is_empty():
+        if not folder.scene_file.is_file():
+            raise RunFolderError(
+                f"folder '{path}' is not empty and holds no {SCENE_FILE}, so it is no run folder; "
+                "choose another --out"
+            )
         if not resume:
             raise RunFolderError(
                 f"run folder '{path}' is not empty; add --resume to go on with the same scene, "

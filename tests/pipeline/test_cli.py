@@ -56,7 +56,12 @@ def _changed(*changes: str) -> list[str]:
     [
         (["--alloy", "Mg-7Gd", "--immersion", "8w"], ["Mg-7Gd", "Mg-5Gd", "Mg-10Gd"]),
         (["--alloy", "Mg-5Gd", "Mg-5Gd", "--immersion", "8w"], ["Mg-5Gd", "without repetition"]),
-        (["--alloy", "Mg-5Gd", "--immersion=-1w"], ["-1w", "at least 0"]),
+        (["--alloy", "Mg-5Gd", "--immersion=-1w"], ["-1w", "negative", "at least 0"]),
+        (["--alloy", "Mg-5Gd", "--immersion", "-1w"], ["-1w", "negative", "at least 0"]),
+        (["--alloy", "Mg-5Gd", "--immersion", "5300w"], ["5300w, 101.6 years", "100 years"]),
+        (["--alloy", "Mg-5Gd", "--immersion", "1e400w"], ["1e400w", "infinite"]),
+        (["--alloy", "mg5gd", "--immersion", "8w"], ["'mg5gd'", "did you mean Mg-5Gd?"]),
+        (["--alloy", "Mg-5Gd", "--immersion", "0.1w", "16.8h"], ["16.8h", "same time"]),
         (["--alloy", "Mg-5Gd", "--immersion", "8w", "1w"], ["1w", "8w", "must rise"]),
         (["--alloy", "Mg-5Gd", "--immersion", "7d", "1w"], ["7d", "1w", "same time"]),
         (["--alloy", "Mg-5Gd", "--immersion", "8 months"], ["8 months", "unit out of s, min"]),
@@ -84,7 +89,17 @@ def _changed(*changes: str) -> list[str]:
         (_changed("--radial-margin", "100um"), ["radial margin is 100 um", "300 um"]),
         (_changed("--step", "0s"), ["step is 0.0", "above 0"]),
         (_changed("--rate-change", "2"), ["rate change is 2.0"]),
-        (_changed("--diameter=-2mm"), ["diameter", "-2"]),
+        (_changed("--diameter=-2mm"), ["diameter '-2mm' is negative"]),
+        (_changed("--diameter", "-2mm"), ["diameter '-2mm' is negative"]),
+        (_changed("--mesh-size", "-.2mm"), ["mesh size '-.2mm' is not understood"]),
+        (_changed("--step", "-1d"), ["step '-1d' is negative"]),
+        (_changed("--top-grip", "-1mm"), ["top grip '-1mm' is negative"]),
+        (_changed("--load", "bending", "--bending-azimuth", "1e400deg"), ["1e400deg", "infinite"]),
+        (_changed("--resolution", "quik"), ["did you mean quick?"]),
+        (_changed("--element", "p2"), ["did you mean P2?"]),
+        (_changed("--thread", "helix"), ["did you mean helical?"]),
+        (_changed("--kinetics", "taffel:slope=1"), ["did you mean tafel?"]),
+        (_changed("--spacng", "1um"), ["--spacng", "did you mean --spacing?"]),
         (_changed("--slot-width", "3mm"), ["slot", "3"]),
         (_changed("--thread", "left"), ["'left'", "helical"]),
         (_changed("--final-strain", "0"), ["final strain is 0.0"]),
@@ -95,9 +110,12 @@ def _changed(*changes: str) -> list[str]:
         (_changed("--load", "bending", "--bending-azimuth", "30"), ["'30'", "deg, rad"]),
         (
             _changed("--load", "torsion", "--bending-azimuth", "1rad"),
-            ["azimuth is 1.0 rad", "left out where the load is torsion"],
+            ["azimuth is 1rad", "left out where the load is torsion"],
         ),
-        (_changed("--bending-azimuth", "30deg"), ["left out where the load is axial"]),
+        (
+            _changed("--bending-azimuth", "30deg"),
+            ["30deg", "left out where the load is axial"],
+        ),
         (_changed("--mesh-size", "100um", "--mesh-size-fine", "200um"), ["200 um", "100 um"]),
         (_changed("--np", "0"), ["--np is 0"]),
         (_changed("--np", "3"), ["--np is 3", "2 cores", "at most 2", "--oversubscribe"]),
@@ -158,6 +176,45 @@ def test_a_file_that_bounds_no_solid_is_refused(tmp_path, capsys, name, text, wo
     assert not out.exists()
 
 
+@pytest.mark.parametrize("kind", ["binary", "text", "neither"])
+def test_a_surface_of_too_many_triangles_is_refused_unread(tmp_path, capsys, kind):
+    path, out = tmp_path / "huge.stl", tmp_path / "run"
+    count = 6_000_000
+    if kind == "text":
+        facets = _tetrahedron().encode()
+        size = len(facets) // 4 * count
+        begin = b"solid part\n" + 5000 * facets
+    else:
+        size = 84 + 50 * count
+        begin = bytes(80) + count.to_bytes(4, "little") if kind == "binary" else b"x" * 84
+    with path.open("wb") as file:  # a sparse file: its size is told, its blocks are not there
+        file.write(begin)
+        file.truncate(size)
+    arguments = ["--alloy", "Mg-5Gd", "--immersion", "8w", "--solid", str(path), "--out", str(out)]
+    said = _refused(capsys, ["run", *arguments], "huge.stl", "triangles", "at most 5,000,000")
+    if kind == "binary":
+        assert "has 6,000,000" in said
+    if kind == "text":  # the first MiB says how long a facet is
+        found = int(re.search(r"about ([\d,]+) triangles", said)[1].replace(",", ""))
+        assert found == pytest.approx(count, rel=0.01)
+    assert not out.exists()
+
+
+def test_a_data_file_without_end_is_refused(tmp_path, capsys):
+    (tmp_path / "deep.toml").write_text("a = " + "[" * 100_000)
+    scene = ["--alloy", str(tmp_path / "deep.toml"), "--immersion", "8w"]
+    _refused(capsys, ["plan", *scene], "deep.toml", "nested too deeply")
+
+
+def test_lengths_typed_in_two_units_are_the_same_scene():
+    """In doubles 70 * 1e-6 is not 0.07 * 1e-3, but what was typed is."""
+    a = _scene([*SCENE, "--mesh-size", "300um", "--spacing", "70um", "--diameter", "2.1mm"])
+    b = _scene([*SCENE, "--mesh-size", "0.3mm", "--spacing", "0.07mm", "--diameter", "2100um"])
+    assert 70 * 1e-6 != 0.07 * 1e-3 and 2100 * 1e-6 != 2.1 * 1e-3
+    assert a.hash() == b.hash()
+    _scene([*SCENE, "--mesh-size", "0.3mm", "--mesh-size-fine", "300um"])
+
+
 def test_a_missing_file_or_a_wrong_unit_of_a_solid_is_refused(tmp_path, capsys):
     base = ["run", "--alloy", "Mg-5Gd", "--immersion", "8w", "--out", str(tmp_path / "run")]
     _refused(capsys, [*base, "--solid", "absent.stl"], "absent.stl", "no such file")
@@ -214,8 +271,9 @@ def test_a_place_that_cannot_be_written_is_refused(tmp_path, capsys):
 def test_a_folder_with_something_else_in_it_is_left_alone(tmp_path, capsys):
     (tmp_path / "letter.txt").write_text("dear")
     run = ["run", *SCENE, "--out", str(tmp_path)]
-    _refused(capsys, run, "not empty", "--resume")
-    _refused(capsys, [*run, "--resume"], "no scene.json")
+    for more in ([], ["--resume"]):
+        told = _refused(capsys, [*run, *more], "not empty", "no scene.json", "another --out")
+        assert "--resume" not in told
     assert [p.name for p in tmp_path.iterdir()] == ["letter.txt"]
 
 
@@ -294,6 +352,10 @@ def test_a_scene_file_that_is_damaged_is_named(tmp_path, capsys):
     folder = RunFolder(tmp_path)
     folder.scene_file.write_text("{")
     _refused(capsys, ["corrode", "--out", str(tmp_path)], "scene.json", "not JSON")
+    folder.scene_file.write_text("[" * 100_000)
+    _refused(capsys, ["corrode", "--out", str(tmp_path)], "scene.json", "nested too deeply")
+    folder.scene_file.write_bytes(b"\xff\xfe")
+    _refused(capsys, ["corrode", "--out", str(tmp_path)], "scene.json", "not JSON")
     folder.scene_file.write_text(json.dumps({"schema_version": 99}))
     _refused(capsys, ["corrode", "--out", str(tmp_path)], "schema version", "99")
 
@@ -301,7 +363,10 @@ def test_a_scene_file_that_is_damaged_is_named(tmp_path, capsys):
 def test_commands_that_are_not_there_are_refused(capsys):
     _refused(capsys, [], "no command")
     _refused(capsys, ["dance"], "dance")
+    _refused(capsys, ["corode"], "corode", "did you mean corrode?")
     _refused(capsys, ["bench", "dance"], "dance", "quick-stages")
+    _refused(capsys, ["bench", "quick"], "did you mean quick-stages?")
+    _refused(capsys, ["study", "tensil", "--out", "x"], "did you mean tensile?")
 
 
 def test_version_and_alloys_are_printed(capsys):
