@@ -568,9 +568,14 @@ def _nearest(
         for i in range(begin, end):
             x = points[i]
             best = reach
+            bound = reach
             for t in near:
-                gap = centre[t] - x
-                if math.sqrt(gap.dot(gap)) - radius[t] > best:
+                gx, gy, gz = centre[t, 0] - x[0], centre[t, 1] - x[1], centre[t, 2] - x[2]
+                bound = min(bound, math.sqrt(gx * gx + gy * gy + gz * gz) + radius[t])
+            for t in near:
+                gx, gy, gz = centre[t, 0] - x[0], centre[t, 1] - x[1], centre[t, 2] - x[2]
+                limit = min(best, bound) + radius[t]
+                if gx * gx + gy * gy + gz * gz > limit * limit * (1.0 + 1e-12):
                     continue
                 y, feature = _closest(corners[t, 0], corners[t, 1], corners[t, 2], x)
                 away = y - x
