@@ -20,20 +20,19 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from peri.engine.exposure import FAR, Surface, exposure, signed_distance
+from peri.engine.exposure import FAR, exposure
 from peri.engine.lattice import Lattice
+from peri.engine.surface import Surface, signed_distance
 
 CLASSES = 3
 """Default P: 0.002 % of V_L from all samples at delta/2 on the reference screw (P = 2: 0.14 %)."""
-FINEST = 0.125
-"""Default size of the finest parts near the surface, in horizons."""
 _APART = 0.6
 """Parts whose middle is this many of their diagonals from the surface are not halved."""
 _DEEP = 2.0
 """Parts away from the surface are at most this many times the finest size."""
-_SLICES = 8
-"""Slices of a part by depth, their edges graded by the cube towards the surface."""
-_GRADE = 3.0
+_SLICES = 12
+"""Slices of a part by depth, their edges graded by the square towards the surface."""
+_GRADE = 2.0
 
 
 @dataclass(frozen=True)
@@ -157,7 +156,7 @@ def rate_classes(
     classes: int = CLASSES,
     kernel_exponent: float = 0.0,
     influence: str = "constant",
-    finest: float = FINEST,
+    finest: float | None = None,
 ) -> RateClasses:
     """The rate classes of a solid's metal on a lattice.
 
@@ -178,8 +177,10 @@ def rate_classes(
     kernel_exponent : float
         q < 1/2; from there on a front has no finite flux.
     influence : {"constant", "linear"}
-    finest : float
-        Largest size of the parts that the surface cuts, in horizons.
+    finest : float, optional
+        Largest size of the parts that the surface cuts, in horizons; default: a quarter of the
+        spacing, but no less than a sixteenth.  The error of V_L is of first order in it: 0.1 % at
+        1/8, 0.05 % at 1/16 for a ball of three horizons.
 
     Raises
     ------
@@ -195,9 +196,7 @@ def rate_classes(
         )
     if fraction.shape != lattice.shape or not (fraction.min() >= 0 and fraction.max() <= 1):
         raise ValueError(f"fraction: it must be {lattice.shape} with values from 0 to 1")
-    samples = sample_metal(
-        lattice, surface, horizon, fraction, kernel_exponent, influence, finest
-    )
+    samples = sample_metal(lattice, surface, horizon, fraction, kernel_exponent, influence, finest)
     volume, rate = gauss_rule(samples.volume, samples.exposure, classes)
     cell = np.repeat(samples.cell, classes)
     deep = np.setdiff1d(np.flatnonzero(fraction), samples.cell, assume_unique=True)
@@ -216,14 +215,12 @@ def liquid_exposure(
     fraction: NDArray[np.float64],
     kernel_exponent: float = 0.0,
     influence: str = "constant",
-    finest: float = FINEST,
+    finest: float | None = None,
 ) -> NDArray[np.float64]:
     """Mean exposure of each cell's liquid share to the metal, 1/m^(2q); see rate_classes."""
-    turned = Surface.__new__(Surface)
-    object.__setattr__(turned, "vertices", surface.vertices)
-    object.__setattr__(turned, "facets", surface.facets[:, ::-1].copy())
-    share = 1.0 - fraction
-    samples = sample_metal(lattice, turned, horizon, share, kernel_exponent, influence, finest)
+    samples = sample_metal(
+        lattice, surface, horizon, 1.0 - fraction, kernel_exponent, influence, finest, liquid=True
+    )
     out = np.zeros(fraction.size)
     _, mean = gauss_rule(samples.volume, samples.exposure, 1)
     out[samples.cell] = mean[:, 0]
@@ -257,40 +254,53 @@ def sample_metal(
     fraction: NDArray[np.float64],
     kernel_exponent: float = 0.0,
     influence: str = "constant",
-    finest: float = FINEST,
+    finest: float | None = None,
+    liquid: bool = False,
 ) -> Samples:
-    """Samples of the metal in every cell that holds some within the horizon of the surface."""
+    """Samples of the metal in every cell that holds some within the horizon of the surface.
+
+    liquid : sample the liquid instead, its exposure to the metal; `fraction` is then its share.
+    """
     if lattice.dimension != 3 or surface.dimension != 3:
         raise ValueError(
             f"lattice: {lattice.dimension} dimensions; rate classes need 3, scenes given by nodes "
             "have one rate per node"
         )
+    if np.ndim(horizon) != 0:
+        raise ValueError(f"horizon: {horizon} m; rate classes need one number, no ellipsoid")
     cells = np.flatnonzero(fraction)
     spacing = np.array(lattice.spacing)
+    if finest is None:
+        finest = max(0.25 * float(spacing.max()) / horizon, 1.0 / 16.0)
     centre = np.array(lattice.origin) + spacing * np.stack(
         np.unravel_index(cells, lattice.shape), axis=1
     )
     half_diagonal = 0.5 * float(np.linalg.norm(spacing))
-    depth, inward = signed_distance(centre, surface, horizon + half_diagonal)
+    side = _Side(surface, -1.0 if liquid else 1.0, horizon + half_diagonal)
+    depth, inward = side.depth(centre, np.full(cells.size, side.reach))
     near = np.isfinite(depth)
     cells, centre, depth, inward = cells[near], centre[near], depth[near], inward[near]
-    parts = _refine(np.arange(cells.size), centre, depth, inward, spacing, surface, finest * horizon, horizon + half_diagonal)
+    parts = _refine(np.arange(cells.size), centre, depth, inward, spacing, side, finest * horizon)
     owner, depth, inward, size, centre = parts
-    depth = depth + _bending(centre, depth, size, surface, horizon + half_diagonal)
-    v, z, middle = _slices(depth, inward, size, size.prod(axis=1) / spacing.prod())
+    points, around = _around(centre, depth, size, side)
+    mean = around.mean(axis=1)  # differs from the middle's depth by the surface's curvature
+    smooth = np.isfinite(mean)
+    v, z, middle = _slices(
+        np.where(smooth, mean, depth), inward, size, size.prod(axis=1) / spacing.prod()
+    )
     held = v.sum(axis=1) > 0
-    owner, depth, inward, centre = owner[held], depth[held], inward[held], centre[held]
-    v, z, middle = v[held], z[held], middle[held]
-    # The reference lies in the metal, on the normal through the part's middle.
-    reference = centre + (middle - depth)[:, None] * inward
-    at_reference, _ = signed_distance(reference, surface, horizon + half_diagonal)
-    good = at_reference > 1e-9 * horizon
-    at_reference = np.where(good, at_reference, middle)
+    owner, v, z = owner[held], v[held], z[held]
+    # One reference in the metal, on the normal through the part's middle; four in a wide part.
+    reference = (centre + (middle - depth)[:, None] * inward)[held]
+    at_reference, _ = side.depth(reference, 1.1 * middle[held] + 0.1 * size[held].max(axis=1))
     kernel = (horizon, kernel_exponent, influence)
-    base = np.zeros(owner.size)
-    base[good] = exposure(reference[good], surface, *kernel, far=FAR)
-    base -= np.where(good, flat_profile(at_reference, *kernel), 0.0)
-    rate = np.maximum(base[:, None] + flat_profile(z, *kernel), 0.0)
+    wide = (smooth & (size.max(axis=1) > 1.01 * finest * horizon) & (around.min(axis=1) > 0))[held]
+    base, slope = np.zeros(owner.size), np.zeros(owner.size)
+    base[~wide] = _excess(reference[~wide], at_reference[~wide], side, kernel)
+    four = _excess(points[held][wide].reshape(-1, 3), around[held][wide].ravel(), side, kernel)
+    base[wide], slope[wide], at_reference[wide] = _line(around[held][wide], four.reshape(-1, 4))
+    excess = base[:, None] + slope[:, None] * (z - np.nan_to_num(at_reference)[:, None])
+    rate = np.maximum(excess + flat_profile(z, *kernel), 0.0)
     # A sliver that no part holds counts as a layer of its volume.
     share = fraction.ravel()[cells]
     missed = np.setdiff1d(np.arange(cells.size), owner)
@@ -301,7 +311,24 @@ def sample_metal(
     return _gather(cells, owner, v, np.vstack([rate, sliver[1]]), share)
 
 
-def _refine(owner, centre, depth, inward, spacing, surface, finest, reach):
+class _Side:
+    """The metal's side of a surface (sign 1) or the liquid's (-1)."""
+
+    def __init__(self, surface: Surface, sign: float, reach: float) -> None:
+        self.surface, self.sign, self.reach = surface, sign, reach
+
+    def depth(self, points, bound) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """signed_distance of points whose distance is at most about `bound` (n,), NaN beyond."""
+        depth, inward = np.full(len(points), np.nan), np.zeros((len(points), 3))
+        reach = self.reach / 2 ** np.arange(5)[::-1]
+        band = np.searchsorted(reach[:-1], bound * (1 + 1e-9))
+        for b in np.unique(band):
+            here = np.flatnonzero(band == b)
+            depth[here], inward[here] = signed_distance(points[here], self.surface, reach[b])
+        return self.sign * depth, self.sign * inward
+
+
+def _refine(owner, centre, depth, inward, spacing, side, finest):
     """Halve the cells that the surface cuts or nearly touches; lists of all parts."""
     done = [[] for _ in range(5)]
     size = spacing.copy()
@@ -323,24 +350,40 @@ def _refine(owner, centre, depth, inward, spacing, surface, finest, reach):
         centre = (centre[split][:, None] + 0.25 * size * corners).reshape(-1, 3)
         owner = np.repeat(owner[split], 8)
         size = 0.5 * size
-        depth, inward = signed_distance(centre, surface, reach)
+        depth, inward = side.depth(centre, np.repeat(np.abs(depth[split]), 8) + 0.25 * diagonal)
         inside = depth > -0.5 * float(np.linalg.norm(size))
         centre, owner, depth, inward = (a[inside] for a in (centre, owner, depth, inward))
 
 
-def _bending(centre, depth, size, surface, reach):
-    """Mean depth over each part less the depth of its middle: the surface's curvature.
-
-    Four points that have the box's second moments, so that a quadratic depth is exact.
-    """
+def _around(centre, depth, size, side):
+    """Four points of each part that have the box's second moments, and their depths."""
     corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(12.0)
-    points = (centre[:, None] + corners * size[:, None]).reshape(-1, 3)
-    around, _ = signed_distance(points, surface, reach + float(size.max()))
-    return np.nan_to_num(around.reshape(-1, 4).mean(axis=1) - depth)
+    points = centre[:, None] + corners * size[:, None]
+    away = np.abs(depth) + 0.5 * np.linalg.norm(size, axis=1)
+    around, _ = side.depth(points.reshape(-1, 3), np.repeat(away, 4))
+    return points, around.reshape(-1, 4)
+
+
+def _line(x, y):
+    """Mean of y, slope of y over x by least squares, and mean of x, row by row."""
+    middle, mean = x.mean(axis=1), y.mean(axis=1)
+    off = x - middle[:, None]
+    spread = (off**2).sum(axis=1)
+    slope = np.divide((off * y).sum(axis=1), spread, out=np.zeros_like(mean), where=spread > 0)
+    return mean, slope, middle
+
+
+def _excess(points, depth, side, kernel):
+    """Exposure of points beyond that of a flat front at their depth; 0 off the metal."""
+    good = depth > 1e-9 * kernel[0]
+    out = np.zeros(len(points))
+    out[good] = side.sign * exposure(points[good], side.surface, *kernel, far=FAR)
+    out[good] -= flat_profile(depth[good], *kernel)
+    return out
 
 
 def _slices(depth, inward, size, volume):
-    """Volume and depth of each part's metal in slices, and its middle depth: (n, k), (n, k), (n,)."""
+    """Each part's metal in slices, volume and depth (n, k), and its mean depth (n,)."""
     width = np.abs(inward) * size
     half = 0.5 * width.sum(axis=1)
     top, bottom = np.maximum(depth - half, 0.0), np.maximum(depth + half, 0.0)

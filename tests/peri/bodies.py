@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from peri.engine.exposure import Surface
+from peri.engine.surface import Surface
 
 
 def box(lower, upper) -> Surface:
@@ -40,9 +40,9 @@ def ball(radius: float, refinements: int, scaled: bool = False) -> Surface:
         middle = vertices[edges].sum(axis=1)
         vertices = np.vstack([vertices, middle / np.linalg.norm(middle, axis=1)[:, None]])
         i, j, k = facets.T
-        facets = np.vstack([
-            np.stack(t, axis=1) for t in ((i, a, c), (j, b, a), (k, c, b), (a, b, c))
-        ])
+        facets = np.vstack(
+            [np.stack(t, axis=1) for t in ((i, a, c), (j, b, a), (k, c, b), (a, b, c))]
+        )
     if scaled:
         volume = np.linalg.det(vertices[facets]).sum() / 6
         vertices = vertices * (4 * np.pi / 3 / volume) ** (1 / 3)

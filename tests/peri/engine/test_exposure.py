@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from peri.engine.exposure import Surface, exposure, signed_distance
+from peri.engine.exposure import exposure
+from peri.engine.surface import Surface, signed_distance
 from tests.peri.bodies import ball, ball_exposure, box, turned
 
 RNG = np.random.default_rng(5)
