@@ -31,7 +31,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from peri.engine.influence import INFLUENCE_FUNCTIONS
-from peri.engine.surface import Finder, Surface, checked_points, frames, in_reach
+from peri.engine.surface import Array, Finder, Surface, checked_points, frames, in_reach
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 _PIECE = 1.5
@@ -135,7 +135,7 @@ def _inner(x: float, p: float, linear: bool) -> float:
 
 
 @njit(cache=True)
-def _exposure_1d(points, ends, p, linear):
+def _exposure_1d(points: Array, ends: Array, p: float, linear: bool) -> Array:
     out = np.zeros(points.size)
     for i in range(points.size):
         for k in range(ends.size):
@@ -147,7 +147,9 @@ def _exposure_1d(points, ends, p, linear):
 
 
 @njit(cache=True, parallel=True)
-def _exposure_2d(points, corners, p, linear, nodes, weights):
+def _exposure_2d(
+    points: Array, corners: Array, p: float, linear: bool, nodes: Array, weights: Array
+) -> Array:
     """Each segment in the angle about the point, r = h cosh u."""
     out = np.zeros(len(points))
     for i in prange(len(points)):
@@ -182,7 +184,22 @@ def _exposure_2d(points, corners, p, linear, nodes, weights):
 
 
 @njit(cache=True)
-def _edge(ax, ay, az, bx, by, bz, nx, ny, nz, h, p_kernel, linear, nodes, weights):
+def _edge(
+    ax: float,
+    ay: float,
+    az: float,
+    bx: float,
+    by: float,
+    bz: float,
+    nx: float,
+    ny: float,
+    nz: float,
+    h: float,
+    p_kernel: float,
+    linear: bool,
+    nodes: Array,
+    weights: Array,
+) -> tuple[float, float]:
     """int |h| B(min(r, 1)) dphi over an edge's angle about the foot, and that angle."""
     ax, ay, az = ax - h * nx, ay - h * ny, az - h * nz
     bx, by, bz = bx - h * nx, by - h * ny, bz - h * nz
@@ -217,7 +234,19 @@ def _edge(ax, ay, az, bx, by, bz, nx, ny, nz, h, p_kernel, linear, nodes, weight
 
 
 @njit(cache=True)
-def _triangle(corners, t, x, y, z, normal, h, p, linear, nodes, weights):
+def _triangle(
+    corners: Array,
+    t: int,
+    x: float,
+    y: float,
+    z: float,
+    normal: Array,
+    h: float,
+    p: float,
+    linear: bool,
+    nodes: Array,
+    weights: Array,
+) -> float:
     """int psi dOmega over one triangle in units of the horizon, |h| < 1."""
     value, angle = 0.0, 0.0
     for a in range(3):
@@ -235,9 +264,8 @@ def _triangle(corners, t, x, y, z, normal, h, p, linear, nodes, weights):
 
 @njit(cache=True, parallel=True)
 def _exposure_3d(
-    points, groups, corners, normal, area, centre, radius,
-    starts, items, first, lower, cell, shape, reach, p, linear, nodes, weights, far,
-):  # fmt: skip
+    points: Array, groups: Array, corners: Array, normal: Array, area: Array, centre: Array, radius: Array, starts: Array, items: Array, first: Array, lower: Array, cell: float, shape: Array, reach: float, p: float, linear: bool, nodes: Array, weights: Array, far: float
+) -> Array:  # fmt: skip
     out = np.zeros(len(points))
     for group in prange(len(groups) - 1):
         begin, end = groups[group], groups[group + 1]

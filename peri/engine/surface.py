@@ -5,10 +5,13 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
+
+Array = NDArray[Any]
 
 
 @dataclass(frozen=True)
@@ -145,7 +148,7 @@ class Finder:
 
 
 @njit(cache=True)
-def _fill_grid(first, last, shape):
+def _fill_grid(first: Array, last: Array, shape: Array) -> tuple[Array, Array]:
     """Triangle numbers by grid cell, in compressed rows."""
     count = np.zeros(shape[0] * shape[1] * shape[2] + 1, np.int64)
     items = np.zeros(0, np.int64)
@@ -168,7 +171,19 @@ def _fill_grid(first, last, shape):
 
 
 @njit(cache=True)
-def in_reach(box_low, box_high, centre, radius, starts, items, first, lower, cell, shape, reach):
+def in_reach(
+    box_low: Array,
+    box_high: Array,
+    centre: Array,
+    radius: Array,
+    starts: Array,
+    items: Array,
+    first: Array,
+    lower: Array,
+    cell: float,
+    shape: Array,
+    reach: float,
+) -> Array:
     """Triangles whose sphere comes within reach of a box, each once."""
     low, high = np.empty(3, np.int64), np.empty(3, np.int64)
     for a in range(3):
@@ -259,7 +274,7 @@ def signed_distance(
 
 
 @njit(cache=True)
-def _closest(a, b, c, x):
+def _closest(a: Array, b: Array, c: Array, x: Array) -> tuple[Array, int]:
     """Closest point of a triangle and its feature: 0 inside, 1..3 edges, 4..6 vertices."""
     ab, ac, ap = b - a, c - a, x - a
     d1, d2 = ab.dot(ap), ac.dot(ap)
@@ -287,9 +302,8 @@ def _closest(a, b, c, x):
 
 @njit(cache=True, parallel=True)
 def _nearest(
-    points, groups, corners, normal, area, centre, radius, pseudo,
-    starts, items, first, lower, cell, shape, reach,
-):  # fmt: skip
+    points: Array, groups: Array, corners: Array, normal: Array, area: Array, centre: Array, radius: Array, pseudo: Array, starts: Array, items: Array, first: Array, lower: Array, cell: float, shape: Array, reach: float
+) -> tuple[Array, Array]:  # fmt: skip
     depth, inward = np.full(len(points), np.nan), np.zeros((len(points), 3))
     for group in prange(len(groups) - 1):
         begin, end = groups[group], groups[group + 1]

@@ -134,14 +134,14 @@ def test_what_the_metal_sees_is_what_the_liquid_sees():
     lattice = around(surface, 0.5)
     share = share_of_box(lattice, surface.vertices.min(axis=0), surface.vertices.max(axis=0))
     gaps = []
-    for finest in (0.125, 0.0625):
+    for finest in (0.25, 0.125):
         metal = rate_classes(lattice, surface, 1.0, share, finest=finest)
         liquid = liquid_exposure(lattice, surface, 1.0, share, finest=finest)
         assert np.all(liquid >= 0) and not liquid[share == 1].any()
         seen = ((1 - share) * liquid).sum()
         gaps.append(abs((metal.volume * metal.exposure).sum() / seen - 1))
-    # Measured: 1.1 and 0.4 %; the edges of a cube of two horizons are the worst case.
-    assert 1e-5 < gaps[1] < 0.5 * gaps[0] < 0.01
+    # Measured: 5 and 1.1 %; the edges of a cube of two horizons are the worst case.
+    assert 1e-3 < gaps[1] < 0.4 * gaps[0] < 0.03
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
