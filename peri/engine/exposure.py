@@ -25,6 +25,7 @@ Neighbours integrate their common edge alike, so the quadrature's error cancels 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numba import njit, prange
@@ -96,10 +97,10 @@ def exposure(
     finder = Finder(corners, 1.0)
     order, starts = finder.group(points)
     out = np.zeros(len(points))
-    out[order] = _exposure_3d(
-        np.ascontiguousarray(points[order]), starts, corners, *frames(corners),
-        *finder.grid, *shape, _NODES, _WEIGHTS, far,
-    )  # fmt: skip
+    rules = (*shape, _NODES, _WEIGHTS, far)
+    grouped = (np.ascontiguousarray(points[order]), starts, corners, *frames(corners))
+    arguments: tuple[Any, ...] = (*grouped, *finder.grid, *rules)
+    out[order] = _exposure_3d(*arguments)
     return unit * out
 
 
@@ -264,8 +265,26 @@ def _triangle(
 
 @njit(cache=True, parallel=True)
 def _exposure_3d(
-    points: Array, groups: Array, corners: Array, normal: Array, area: Array, centre: Array, radius: Array, starts: Array, items: Array, first: Array, lower: Array, cell: float, shape: Array, reach: float, p: float, linear: bool, nodes: Array, weights: Array, far: float
-) -> Array:  # fmt: skip
+    points: Array,
+    groups: Array,
+    corners: Array,
+    normal: Array,
+    area: Array,
+    centre: Array,
+    radius: Array,
+    starts: Array,
+    items: Array,
+    first: Array,
+    lower: Array,
+    cell: float,
+    shape: Array,
+    reach: float,
+    p: float,
+    linear: bool,
+    nodes: Array,
+    weights: Array,
+    far: float,
+) -> Array:
     out = np.zeros(len(points))
     for group in prange(len(groups) - 1):
         begin, end = groups[group], groups[group + 1]

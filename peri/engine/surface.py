@@ -134,7 +134,15 @@ class Finder:
         self.first = np.clip(first, 0, self.shape - 1)
         last = np.clip(last, 0, self.shape - 1)
         starts, items = _fill_grid(self.first, last, self.shape)
-        self.grid = (starts, items, self.first, self.lower, self.cell, self.shape, reach)
+        self.grid: tuple[Any, ...] = (
+            starts,
+            items,
+            self.first,
+            self.lower,
+            self.cell,
+            self.shape,
+            reach,
+        )
 
     def group(self, points: NDArray[np.float64]) -> tuple[NDArray, NDArray]:
         """An order of the points in which near ones follow each other, and where groups start."""
@@ -219,7 +227,7 @@ def in_reach(
     return found[:n]
 
 
-def frames(corners: NDArray[np.float64]) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+def frames(corners: NDArray[np.float64]) -> tuple[Any, ...]:
     """Outward unit normals, areas, middles and radii of the triangles."""
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     double = np.linalg.norm(normal, axis=1)
@@ -266,10 +274,9 @@ def signed_distance(
     finder = Finder(corners, 1.0)
     order, starts = finder.group(points)
     depth, inward = np.empty(len(points)), np.zeros((len(points), 3))
-    depth[order], inward[order] = _nearest(
-        np.ascontiguousarray(points[order]), starts, corners, *frames(corners),
-        surface.pseudo_normals, *finder.grid,
-    )  # fmt: skip
+    grouped = (np.ascontiguousarray(points[order]), starts, corners, *frames(corners))
+    arguments: tuple[Any, ...] = (*grouped, surface.pseudo_normals, *finder.grid)
+    depth[order], inward[order] = _nearest(*arguments)
     return depth * reach, inward
 
 
@@ -302,8 +309,22 @@ def _closest(a: Array, b: Array, c: Array, x: Array) -> tuple[Array, int]:
 
 @njit(cache=True, parallel=True)
 def _nearest(
-    points: Array, groups: Array, corners: Array, normal: Array, area: Array, centre: Array, radius: Array, pseudo: Array, starts: Array, items: Array, first: Array, lower: Array, cell: float, shape: Array, reach: float
-) -> tuple[Array, Array]:  # fmt: skip
+    points: Array,
+    groups: Array,
+    corners: Array,
+    normal: Array,
+    area: Array,
+    centre: Array,
+    radius: Array,
+    pseudo: Array,
+    starts: Array,
+    items: Array,
+    first: Array,
+    lower: Array,
+    cell: float,
+    shape: Array,
+    reach: float,
+) -> tuple[Array, Array]:
     depth, inward = np.full(len(points), np.nan), np.zeros((len(points), 3))
     for group in prange(len(groups) - 1):
         begin, end = groups[group], groups[group + 1]
