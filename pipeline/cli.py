@@ -75,6 +75,19 @@ def build_parser() -> argparse.ArgumentParser:
     add_scene_options(run)
     _add_folder_options(run, resume=True)
     _add_machine_options(run)
+    run.add_argument(
+        "--samples",
+        type=int,
+        metavar="N",
+        help="bands from N samples of the constants (needs a set that calibrate wrote)",
+    )
+    run.add_argument(
+        "--strength-tolerance",
+        type=float,
+        default=0.01,
+        metavar="X",
+        help="of the strength curve behind the bands, of the intact strength (0.01)",
+    )
     geometry = add("geometry", _geometry, "begin a run folder: solid and mesh of a scene")
     add_scene_options(geometry)
     _add_folder_options(geometry, resume=True)
@@ -206,14 +219,19 @@ def _run(options: argparse.Namespace) -> int:
     scene = scene_from_options(options)
     folder = RunFolder(options.out)
     with progress_for(sys.stderr, options.quiet) as progress:
-        rows = run_life_cycle(
-            scene,
-            folder,
-            resume=options.resume,
-            ranks=options.np,
-            workers=options.pulls,
-            progress=progress,
-        )
+        shared = {
+            "resume": options.resume,
+            "ranks": options.np,
+            "workers": options.pulls,
+            "progress": progress,
+        }
+        if options.samples is None:
+            rows = run_life_cycle(scene, folder, **shared)
+        else:
+            from pipeline.campaigns.bands import run_with_bands
+
+            shared["tolerance"] = options.strength_tolerance
+            rows = run_with_bands(scene, folder.path, options.samples, **shared)
     _print_summary(rows)
     print(f"\ntable:  {folder.summary_file}")
     if folder.report_file.exists():

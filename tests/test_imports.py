@@ -58,7 +58,17 @@ BELOW = {
         "calibration": {"scene", "geometry", "record", "stages"},
         "life_cycle": {"scene", "geometry", "record", "stages", "report"},
         "benches": {"scene", "geometry", "record", "stages", "studies", "life_cycle"},
-        "cli": {"scene", "record", "stages", "studies", "calibration", "life_cycle", "benches"},
+        "campaigns": {"scene", "geometry", "record", "stages", "calibration", "life_cycle"},
+        "cli": {
+            "scene",
+            "record",
+            "stages",
+            "studies",
+            "calibration",
+            "life_cycle",
+            "campaigns",
+            "benches",
+        },
     },
 }
 """Package -> room -> the rooms that it may import from, besides itself."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 
 import h5py
@@ -66,11 +67,17 @@ def read_corrosion(path: Path) -> dict[str, np.ndarray]:
     return out
 
 
-def write_history(path: Path, history: dict[str, np.ndarray]) -> None:
-    """Write the per-step history as CSV; column names carry the units."""
+def write_history(
+    path: Path, history: dict[str, np.ndarray], units: Mapping[str, str] | None = None
+) -> None:
+    """Write the per-step history as CSV; column names carry the units.
+
+    units: of columns that the caller adds to those of a march.
+    """
+    known = {**_UNITS, **(units or {})}
     temporary = Path(path).with_name(Path(path).name + ".tmp")
     names = list(history)
-    header = ",".join(n if _UNITS[n] == "1" else f"{n}_{_UNITS[n]}" for n in names)
+    header = ",".join(n if known[n] == "1" else f"{n}_{known[n]}" for n in names)
     table = np.column_stack([history[n] for n in names])
     np.savetxt(temporary, table, delimiter=",", header=header, comments="", fmt="%.12g")
     os.replace(temporary, path)

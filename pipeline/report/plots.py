@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from perilife_data import VolumeLossData
+from pipeline.record.bands import BandRow
 from pipeline.record.run_results import AlloyResult, column
 from pipeline.scene.loads import LOADS, LoadNames
 from pipeline.scene.units import SECONDS_PER
@@ -52,8 +53,12 @@ def time_axis(longest: float) -> tuple[float, str]:
 def volume_loss_plot(
     alloys: Sequence[AlloyResult],
     measured: Mapping[str, VolumeLossData],
+    bands: Sequence[BandRow] = (),
 ) -> str:
-    """Volume loss against immersion time as SVG; `measured`: a person's own points by alloy."""
+    """Volume loss against immersion time as SVG; `measured`: a person's own points by alloy.
+
+    bands: 5 to 95 % of the samples of the constants, shaded.
+    """
     figure, axes = _figure()
     longest = max(
         [a.immersions[-1].seconds for a in alloys if a.immersions]
@@ -78,6 +83,7 @@ def volume_loss_plot(
                 ms=5,
                 **_marker(style),
             )
+        _shade(axes, [b for b in bands if b.alloy == alloy.name], "volume_loss", 0.0, second, style)
         if alloy.name in measured:
             data = measured[alloy.name]
             spread = data.standard_deviation
@@ -101,9 +107,31 @@ def volume_loss_plot(
     return _svg(figure, "volume-loss", "Volume loss in per cent against immersion time")
 
 
-def strength_plot(alloys: Sequence[AlloyResult], names: LoadNames = LOADS["axial"]) -> str:
-    """Peak over that of the intact solid against immersion time, all alloys, as SVG."""
+def _shade(
+    axes: Axes, rows: Sequence[BandRow], field: str, start: float, second: float, style: dict
+) -> None:
+    """Shade the band of one alloy from its value at time zero on."""
+    if not rows:
+        return
+    times = [0.0, *(86400.0 * row.immersion_days / second for row in rows)]
+    low, high = ([100 * start, *(100 * getattr(row, field)[end] for row in rows)] for end in (0, 2))
+    axes.fill_between(times, low, high, color=style["color"], alpha=0.18, lw=0)
+
+
+def strength_plot(
+    alloys: Sequence[AlloyResult],
+    names: LoadNames = LOADS["axial"],
+    bands: Sequence[BandRow] = (),
+) -> str:
+    """Peak over that of the intact solid against immersion time, all alloys, as SVG.
+
+    bands: 5 to 95 % of the samples of the constants, shaded.
+    """
     figure, axes = _figure()
+    longest = max((i.seconds for a in alloys for i in a.immersions), default=1.0)
+    for n, alloy in enumerate(alloys):
+        rows = [band for band in bands if band.alloy == alloy.name]
+        _shade(axes, rows, "strength_ratio", 1.0, time_axis(longest)[0], _style(n))
     draw_strength(axes, alloys, colours=_SERIES, names=names)
     _finish(axes, zero=True, legend="upper right")
     title = f"{_capital(names.strength)} left in per cent against immersion time"

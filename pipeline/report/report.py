@@ -21,6 +21,7 @@ from markupsafe import Markup
 from PIL import Image, features
 
 import perilife_data
+from pipeline.record.bands import BANDS_FILE, BandRow, read_bands
 from pipeline.record.machine import describe_machine, package_versions
 from pipeline.record.run_folder import REPORT_FILE, write_text
 from pipeline.record.run_results import AlloyResult, ImmersionResult, RunResults, read_run
@@ -75,6 +76,7 @@ def write_report(run_folder: Path | str) -> Path:
     names = [alloy.name for alloy in run.alloys]
     load = LOADS[run.scene.tensile.load]
     measured, measured_trouble = _measured(run)
+    banded = read_bands(run.folder / BANDS_FILE)
     trouble = [*measured_trouble]
     if pictures.trouble:
         trouble.append(f"pictures, all or some: {pictures.trouble}")
@@ -100,7 +102,8 @@ def write_report(run_folder: Path | str) -> Path:
         table=[_table_row(a, i) for a in run.alloys for i in a.immersions if i.summary],
         pictures=_pictures(run, pictures),
         damage_ramp=_damage_ramp(),
-        plots=_plots(run, measured, load),
+        plots=_plots(run, measured, load, banded),
+        bands=[_band_row(row) for row in banded],
         measured=sorted(measured),
         checks=doubts.checks(run),
         error_estimate=doubts.error_estimate(run),
@@ -244,15 +247,35 @@ def _measured(run: RunResults) -> tuple[dict, list[str]]:
     return found, trouble
 
 
-def _plots(run: RunResults, measured: dict, load: LoadNames) -> dict[str, object]:
+def _band_row(row: BandRow) -> dict[str, str]:
+    """One row of the table of bands, in per cent."""
+
+    def between(values: tuple[float, float, float]) -> str:
+        return f"{percent(values[0])} to {percent(values[2])}, middle {percent(values[1])}"
+
+    return {
+        "alloy": row.alloy,
+        "time": f"{row.immersion_days / 7:.4g} weeks",
+        "loss": between(row.volume_loss),
+        "ratio": between(row.strength_ratio),
+        "samples": f"{row.samples}",
+        "error": percent(row.strength_curve_error),
+    }
+
+
+def _plots(
+    run: RunResults, measured: dict, load: LoadNames, banded: list[BandRow]
+) -> dict[str, object]:
     tested = [a for a in run.alloys if any(i.reaction is not None for i in a.immersions)]
     forces = [i.reaction for a in run.alloys for i in a.immersions if i.reaction is not None]
     most = max((float(np.nanmax(f)) for f in forces if len(f)), default=0.0)
     corroded = [a for a in run.alloys if a.history or any(i.summary for i in a.immersions)]
     ratios = [i for a in run.alloys for i in a.immersions if i.strength_ratio is not None]
     return {
-        "strength": Markup(plots.strength_plot(run.alloys, load)) if ratios else "",
-        "volume_loss": Markup(plots.volume_loss_plot(run.alloys, measured)) if corroded else "",
+        "strength": Markup(plots.strength_plot(run.alloys, load, banded)) if ratios else "",
+        "volume_loss": Markup(plots.volume_loss_plot(run.alloys, measured, banded))
+        if corroded
+        else "",
         "curves": [
             (a.name, Markup(plots.load_plot(a, f"{n}", most or 1.0, load)))
             for n, a in enumerate(tested)

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from peri.corrosion.results import write_corrosion, write_history, write_image_series
 from peri.corrosion.run import CorrosionResult
@@ -139,6 +139,18 @@ def corrosion_scene(
     )
 
 
+def degradation_rate(
+    volume_loss: ArrayLike, seconds: ArrayLike, solid: Solid
+) -> NDArray[np.float64]:
+    """V_L V_0 / (A_0 t) of Hermann 2024, Eq. 5.34, in mm/year (of 365.25 days); NaN at time 0.
+
+    V_0 and A_0 are those of the solid itself: a staircase of cells has more surface.
+    """
+    times = np.asarray(seconds, float)
+    years = np.where(times > 0, times, np.nan) / (365.25 * 86400.0)
+    return 1e3 * np.asarray(volume_loss, float) * solid.volume / (solid.area * years)
+
+
 def metal_of(
     scene: Scene, lattice: Lattice, solid: Solid
 ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
@@ -210,12 +222,18 @@ def corrode_in_folder(
         checkpoint.unlink()
         result, omissions = march(False)
     write_corrosion(out / CORROSION_FILE, result)
-    write_history(out / HISTORY_FILE, result.history)
+    history = dict(result.history)
+    history["degradation_rate"] = degradation_rate(history["volume_loss"], history["time"], solid)
+    write_history(out / HISTORY_FILE, history, {"degradation_rate": "mm_per_year"})
     write_image_series(out, result)
     checkpoint.unlink(missing_ok=True)
     balance = np.abs(np.asarray(result.history["balance_error"]))
     numbers = {
         "volume_loss": [float(value) for value in result.volume_loss],
+        "degradation_rate": [
+            None if time == 0 else float(degradation_rate(loss, time, solid))
+            for loss, time in zip(result.volume_loss, times, strict=True)
+        ],
         "balance_error": float(balance.max(initial=0.0)),
         "steps": int(balance.size),
         "nodes": int(corrosion.domain.sum()),

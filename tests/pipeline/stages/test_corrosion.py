@@ -1,4 +1,4 @@
-"""The corrosion stage: what it does with a checkpoint that is not of its march."""
+"""The corrosion stage: checkpoints that are not of its march, the degradation rate."""
 
 import argparse
 from dataclasses import replace
@@ -10,8 +10,15 @@ import pytest
 from peri.engine.checkpoints import write_checkpoint
 from pipeline.scene.options import add_scene_options, scene_from_options
 from pipeline.stages import corrosion as corrosion_stage
-from pipeline.stages.corrosion import CHECKPOINT_FILE, CORROSION_FILE, corrode_in_folder
-from pipeline.stages.geometry import write_geometry
+from pipeline.stages.corrosion import (
+    CHECKPOINT_FILE,
+    CORROSION_FILE,
+    HISTORY_FILE,
+    corrode_in_folder,
+    degradation_rate,
+)
+from pipeline.stages.geometry import read_surface, write_geometry
+from tests.pipeline.geometry.solids import reference_screw
 
 PIN = ["--alloy", "Mg-10Gd", "--immersion", "8w", "--thread", "none", "--mesh-size", "0.6mm"]
 PIN += ["--spacing", "250um", "--horizon", "250um", "--radial-margin", "0.5mm"]
@@ -78,3 +85,21 @@ def test_a_march_that_fails_is_not_repeated(scene, geometry, marches, tmp_path):
         corrode_in_folder(filling, "Mg-10Gd", geometry, tmp_path, checkpoint_every=0.0)
     assert (tmp_path / CHECKPOINT_FILE).exists()
     assert marches == [False]
+
+
+def test_degradation_rate_of_the_solid_itself(scene, geometry, tmp_path):
+    """(5.34) with the solid's own volume and area, in the record and in the history."""
+    _, numbers = corrode_in_folder(scene, "Mg-10Gd", geometry, tmp_path)
+    solid = read_surface(geometry)
+    years = 56 / 365.25
+    expected = 1e3 * numbers["volume_loss"][1] * solid.volume / (solid.area * years)
+    assert numbers["degradation_rate"] == [None, pytest.approx(expected, rel=1e-12)]
+    history = np.genfromtxt(tmp_path / HISTORY_FILE, delimiter=",", names=True)
+    assert history["degradation_rate_mm_per_year"][-1] == pytest.approx(expected, rel=1e-10)
+    assert np.isnan(history["degradation_rate_mm_per_year"][0])
+
+
+def test_degradation_rate_of_the_published_screw():
+    """15.457 % of the M2 x 4 mm screw in 56 days."""
+    screw = reference_screw()
+    assert degradation_rate(0.15456919, 56 * 86400.0, screw) == pytest.approx(0.2184, abs=5e-5)

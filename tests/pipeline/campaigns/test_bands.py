@@ -1,0 +1,99 @@
+"""Bands of a run: what they need, and what they are on a coarse pin (slow: mechanical tests)."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.calibration.models import Implant, ReducedModel
+from pipeline.campaigns.bands import samples_of
+from pipeline.campaigns.strength import CurveTests, clean_until
+from pipeline.cli import main
+from pipeline.record.bands import BandRow, read_bands, write_bands
+from pipeline.record.summary import read_summary
+from pipeline.scene.resolve import resolve_scene
+from pipeline.scene.scene import SceneError
+from tests.pipeline.calibration.test_calibrate import COARSE, DATA, PIN
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory):
+    """The parameter set of a coarse pin."""
+    out = tmp_path_factory.mktemp("fit") / "set"
+    data = f"Mg-5Gd={DATA}"
+    arguments = ["calibrate", "--alloy", "Mg-5Gd", "--volume-loss", data, *PIN]
+    assert main([*arguments, "--out", str(out)]) == 0
+    return out / "parameters.toml"
+
+
+def test_rows_come_back_from_their_file(tmp_path):
+    rows = [BandRow("Mg-5Gd", 84.0, (0.1, 0.2, 0.3), (0.7, 0.8, 0.9), 200, 0.004)]
+    write_bands(tmp_path / "bands.csv", rows)
+    assert read_bands(tmp_path / "bands.csv") == rows
+    assert read_bands(tmp_path / "none.csv") == []
+    (tmp_path / "other.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(ValueError, match="columns of"):
+        read_bands(tmp_path / "other.csv")
+
+
+def test_samples_are_those_of_the_set(fitted):
+    scene = resolve_scene(["Mg-5Gd"], ["8w"], parameter_set=str(fitted), **COARSE)
+    drawn = samples_of(scene, "Mg-5Gd", 50)
+    every = samples_of(scene, "Mg-5Gd", 400)
+    assert drawn.values.shape == (50, 2) and every.values.shape == (400, 2)
+    assert set(map(tuple, drawn.values)) <= set(map(tuple, every.values))
+    spread = np.log(drawn.values).std(axis=0) / np.log(every.values).std(axis=0)
+    np.testing.assert_allclose(spread, 1.0, atol=0.15)
+
+
+def test_sets_without_samples_are_refused_before_anything_is_made(tmp_path, capsys):
+    run = ["run", "--alloy", "Mg-5Gd", "--immersion", "8w", "--out", str(tmp_path / "run")]
+    assert main([*run, "--samples", "100"]) == 2
+    assert "has no posterior of Mg-5Gd" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+def test_more_samples_than_the_set_has_are_refused(fitted, tmp_path, capsys):
+    run = ["run", "--alloy", "Mg-5Gd", "--immersion", "8w", *PIN, "--parameters", str(fitted)]
+    assert main([*run, "--samples", "401", "--out", str(tmp_path / "run")]) == 2
+    assert "must be 2 to 400" in capsys.readouterr().err
+
+
+def test_where_the_liquid_counts_the_curve_is_refused():
+    scene = resolve_scene(["Mg-10Gd"], ["8w"], **COARSE)
+    with pytest.raises(SceneError, match="no function of the volume loss alone"):
+        clean_until(scene, "Mg-10Gd", Implant(scene), 56 * 86400.0)
+
+
+def test_tests_of_a_curve_begin_at_the_volume_loss_asked_for(tmp_path):
+    scene = resolve_scene(["Mg-5Gd"], ["8w"], **COARSE)
+    implant = Implant(scene)
+    tests = CurveTests(scene, "Mg-5Gd", implant, tmp_path)
+    rate = np.log([scene.alloy("Mg-5Gd").corrosion.interface_diffusivity])
+    model = ReducedModel(tests.scene, "Mg-5Gd", implant, ("interface_diffusivity",))
+    for loss in (1e-4, 0.1, 0.3):
+        time = tests.time_of(loss)
+        assert model(np.array([time]), rate)[0][0] == pytest.approx(loss, rel=1e-9)
+    with pytest.raises(SceneError, match="must be below"):
+        tests.time_of(0.999)
+
+
+@pytest.mark.slow
+def test_bands_of_a_run_hold_its_own_values_and_are_kept(fitted, tmp_path, capsys):
+    out = tmp_path / "run"
+    run = ["run", "--alloy", "Mg-5Gd", "--immersion", "4w", "12w", *PIN, "--mesh-size", "0.6mm"]
+    run += ["--parameters", str(fitted), "--samples", "60", "--out", str(out), "--quiet"]
+    assert main(run) == 0
+    rows, bands = read_summary(out / "summary.csv"), read_bands(out / "bands.csv")
+    assert [band.immersion_days for band in bands] == [28.0, 84.0]
+    for row, band in zip(rows, bands, strict=True):
+        low, middle, high = band.volume_loss
+        assert low < row.volume_loss < high and abs(middle / row.volume_loss - 1) < 0.1
+        low, middle, high = band.strength_ratio
+        assert low < row.strength_ratio < high
+        # the run's own test lies on the curve of the others
+        assert abs(middle - row.strength_ratio) < 0.03 and band.strength_curve_error <= 0.01
+    assert "5 to 95 %" in (out / "report.html").read_text()
+    stamps = {p: p.stat().st_mtime_ns for p in Path(out).rglob("*.stage.json")}
+    assert main([*run, "--resume"]) == 0
+    assert {p: p.stat().st_mtime_ns for p in Path(out).rglob("*.stage.json")} == stamps
