@@ -20,7 +20,8 @@ import numpy as np
 from peri.corrosion import saturation
 from peri.corrosion.blocks import block_scene
 from peri.corrosion.faradaic import FaradaicInterface
-from peri.corrosion.interface import Interface
+from peri.corrosion.interface import FixedPoint, Interface
+from peri.corrosion.kinetics import Exposed
 from peri.corrosion.scene import CorrosionScene
 from peri.engine import kernels
 from peri.engine.operators import NonlocalSum
@@ -32,6 +33,8 @@ log = logging.getLogger(__name__)
 
 _MAXIMUM_ROUNDS = 60
 _LOSS_TOLERANCE = 1e-9
+_DRIFT = 1e-7
+"""How well a stage has to know the liquid that the kinetics sees, relative."""
 _ROUND_REDUCTION = 0.1
 
 
@@ -90,6 +93,9 @@ class BiMaterial:
         """Metal with no more than this is liquid, mol/m^3."""
         self._loss_scale = metal_volume * (scene.solid_concentration - self.liquid_below)
         self.base_diffusivity = scene.base_interface_diffusivity()
+        self.surface: dict[str, np.ndarray | float] = {}
+        """What surrounds the metal as the kinetics sees it (potential, age), set before a stage:
+        padded box arrays or numbers."""
         self._system: DiffusionSystem | None = None
         self._make_box()
         self.update_phase()
@@ -195,20 +201,55 @@ class BiMaterial:
         """Largest row sum of the operator at zero volume loss, 1/s (bound of its spectrum / 2)."""
         return max(self.fastest_rates())
 
-    def fastest_rates(self) -> tuple[float, float]:
-        """The same of free liquid and of metal apart; both may grow as nodes dissolve."""
-        if self._rates is None:
+    def fastest_rates(self, concentration: np.ndarray | None = None) -> tuple[float, float]:
+        """The same of free liquid and of metal apart; both may grow as nodes dissolve.
+
+        concentration : padded array, for kinetics that look at the liquid.
+        """
+        if self._rates is None or not self.scene.kinetics.is_global:
             liquid = np.where(self.free, self.neighbour_liquid, 0.0)
             rates, in_metal = liquid * self.scene.liquid_diffusivity, 0.0
             if self.box is not None:
-                g = self.base_diffusivity * self.scene.kinetics.factor(0.0)
-                seen = np.where(self.box_free_volume > 0, self.box(self.box_metal_volume), 0.0)
+                known = None
+                if concentration is not None:
+                    known = self.seen_liquid(self.take(np.where(self.metal, 0.0, concentration)))
+                g, local = self.interface_rate(0.0, known)
+                metal = self.box(self.box_metal_volume * local)
+                seen = np.where(self.box_free_volume > 0, metal, 0.0)
                 rates[self.window] += (g * seen)[self.box.interior]
-                seen = self.box(self.box_liquid_volume)[self.box_metal]
+                seen = (local * self.box(self.box_liquid_volume))[self.box_metal]
                 in_metal = g * float(seen.max(initial=0.0))
             largest = self.processes.largest
             self._rates = largest(float(rates.max())), largest(in_metal)
         return self._rates
+
+    def seen_liquid(self, liquid: np.ndarray) -> np.ndarray | None:
+        """Mean concentration over the bonds of each metal node to liquid, where laws look at it.
+
+        liquid : padded box array.
+        """
+        if "concentration" not in self.scene.kinetics.needs:
+            return None
+        inflow, bonds = self.box(self.box_liquid_volume * liquid), self.box_neighbour_liquid
+        seeing = self.box_metal & (bonds > 0)
+        return np.divide(inflow, bonds, out=np.zeros_like(bonds), where=seeing)
+
+    def interface_rate(
+        self, volume_loss: float, seen_liquid: np.ndarray | None = None
+    ) -> tuple[float, np.ndarray | float]:
+        """The interface diffusivity, m^2/s, and each metal node's share of it (or 1 for all).
+
+        seen_liquid : as `seen_liquid` gives it (None: clean liquid).
+        """
+        law = self.scene.kinetics
+        if law.is_global:
+            return self.base_diffusivity * law.rate(Exposed(volume_loss)), 1.0
+        seen: dict[str, np.ndarray | float] = dict(self.surface)
+        if "concentration" in law.needs:
+            clean = np.zeros(self.box.padded_shape)
+            seen["concentration"] = clean if seen_liquid is None else seen_liquid
+        at = Exposed(volume_loss, **{n: v for n, v in seen.items() if n in law.needs})
+        return self.base_diffusivity, np.where(self.box_metal, law.rate(at), 0.0)
 
     def metal_rates(self) -> np.ndarray:
         """lambda_i = D_int sum_{liquid j} w_ij c_j at zero loss, 1/s, on the lattice.
@@ -269,16 +310,19 @@ class BiMaterial:
         if complementary:
             active = (theta < 1.0) & (self.box_free_volume > 0)
         total_iterations, rounds, settled, stall = 0, 0, False, saturation.Stall()
+        seen = FixedPoint(self.processes)
         while rounds < _MAXIMUM_ROUNDS:
             rounds += 1
-            volume_loss = self._settle_rate(state, theta, volume_loss, self.take(y))
+            liquid = self.take(y)
+            guessed, drift = seen.settle(self.seen_liquid(liquid))
+            volume_loss = self._settle_rate(state, theta, volume_loss, liquid, guessed)
             view = y[self.window]
             view[active[self.box.interior]] = saturated
             iterations, solved = self._solve_liquid(y, old, tau, state, active)
             total_iterations += iterations
             metal = state.metal_concentration(self.take(y))
             loss = self._loss_of(metal)
-            settled = solved and abs(loss - volume_loss) <= _LOSS_TOLERANCE
+            settled = solved and abs(loss - volume_loss) <= _LOSS_TOLERANCE and drift <= _DRIFT
             volume_loss = loss
             if complementary:
                 needed, available = self._interface_balance(y, old, tau, state, metal, active)
@@ -374,29 +418,29 @@ class BiMaterial:
             if scene.saturation == "as_published":
                 full = self.free & (old >= scene.saturation_concentration)
                 state.switch_off(np.where(full, self.capacity, 0.0))
-            rate = self.base_diffusivity * scene.kinetics.factor(volume_loss)
             theta = (self.box_liquid_volume > 0).astype(float)
             box_liquid = self.take(liquid)
-            state.set(theta, rate)
-            drawn = rate * self.box(state.bonds * box_liquid)
+            rate, local = self.interface_rate(volume_loss, self.seen_liquid(box_liquid))
+            state.set(theta, rate, local)
+            drawn = rate * state.weight * self.box(state.bonds * box_liquid)
             state.hold_back(state.old_metal + step * (drawn - state.outflow * state.old_metal))
-            seen = self.box(self.box_metal_volume * state.on * state.old_metal)
+            seen = self.box(self.box_metal_volume * state.weight * state.old_metal)
             inflow = step * rate * (seen - state.seen_metal * box_liquid)
             inflow = np.where(self.box_free_volume > 0, inflow, 0.0)
             if scene.saturation == "complementarity":
                 room = np.maximum(scene.saturation_concentration - self.take(new), 0.0)
                 full = inflow > room
                 theta[full] = room[full] / inflow[full]
-            state.set(theta, rate)
+            state.set(theta, rate, local)
             new[self.window] += (theta * inflow)[self.box.interior]
-            drawn = rate * state.on * self.box(state.bonds * box_liquid)
+            drawn = rate * state.weight * self.box(state.bonds * box_liquid)
             metal = state.old_metal + step * (drawn - state.outflow * state.old_metal)
             view = new[self.window]
             view[self.box_metal[self.box.interior]] = metal[self.box_metal]
             metal = state.old_metal
         return new, self._release_rate(liquid, state, metal), theta
 
-    def _settle_rate(self, state, theta, volume_loss, liquid) -> float:
+    def _settle_rate(self, state, theta, volume_loss, liquid, seen_liquid) -> float:
         """V_L that agrees with the rate it causes, for given liquid concentrations.
 
         The metal's loss falls as V_L grows in the kinetics, so there is one such V_L in [0, 1]: a
@@ -405,7 +449,7 @@ class BiMaterial:
         """
         low, high, last = 0.0, 1.0, None
         for _ in range(_MAXIMUM_ROUNDS):
-            state.set(theta, self.base_diffusivity * self.scene.kinetics.factor(volume_loss))
+            state.set(theta, *self.interface_rate(volume_loss, seen_liquid))
             loss = self._loss_of(state.metal_concentration(liquid))
             excess = loss - volume_loss
             if abs(excess) <= 0.1 * _LOSS_TOLERANCE:

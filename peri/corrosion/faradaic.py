@@ -28,24 +28,25 @@ class FaradaicInterface(Interface):
     hold up to C_sat).  gained : what it receives then, mol/m^3.
     """
 
-    def set(self, theta: np.ndarray, rate: float) -> None:
-        """Fix the saturation factors and D_int; find when each node is empty."""
+    def set(self, theta: np.ndarray, rate: float, local: np.ndarray | float = 1.0) -> None:
+        """Fix the saturation factors, D_int and the nodes' shares; find when each node is empty."""
         p, scene = self.p, self.p.scene
         self.theta = theta
         self.rate = rate * scene.solid_concentration
         self.bonds = theta * p.box_liquid_volume
+        self.local = local
         drawn = self.tau * self.rate
         bounded = scene.saturation == "complementarity"
         self.exposed = np.zeros_like(theta)
         for _ in range(_ROUNDS):
-            demand = drawn * p.box(self.bonds + p.box_metal_volume * self.exposed)
+            demand = drawn * local * p.box(self.bonds + p.box_metal_volume * self.exposed)
             short = p.box_metal & (demand > self.old_metal)
             self.on = p.box_metal.astype(float)
             self.on[short] = self.old_metal[short] / demand[short]
             if not p.processes.any(short.any()):
                 self.gained = np.zeros_like(theta)
                 break
-            inflow = drawn * p.box(p.box_metal_volume * self.on)
+            inflow = drawn * p.box(p.box_metal_volume * self.on * local)
             exposed = np.where(short, 1.0 - self.on, 0.0)
             if bounded:
                 room = np.full_like(inflow, np.inf)
@@ -56,7 +57,7 @@ class FaradaicInterface(Interface):
             if p.processes.largest(change) <= _TOLERANCE:
                 break
             self.exposed = exposed
-        self.demand = demand
+        self.demand, self.weight = demand, self.on * local
         self.emptied = short
         self.storage_share = 1.0
 
@@ -73,18 +74,19 @@ class FaradaicInterface(Interface):
         p = self.p
         if not p.processes.any(self.emptied.any()):
             return 0.0
-        late = self.demand - self.tau * self.rate * p.box(self.bonds)
+        late = self.demand - self.tau * self.rate * self.local * p.box(self.bonds)
         lost = (1.0 - self.on) * late * p.box_metal_volume
         whole = p.processes.total(float((self.demand * p.box_metal_volume).sum()))
         return p.processes.total(float(lost.sum())) / whole if whole > 0 else 0.0
 
     def offered(self, metal: np.ndarray, liquid) -> np.ndarray:
         """Interface inflow of the free liquid nodes with theta = 1."""
-        return self.p.box_free_volume * self.rate * self.p.box(self.p.box_metal_volume * self.on)
+        p = self.p
+        return p.box_free_volume * self.rate * p.box(p.box_metal_volume * self.weight)
 
     def to_refreshed(self, metal: np.ndarray) -> np.ndarray:
         """Interface inflow of the box's nodes per relative volume."""
-        return self.rate * self.p.box(self.p.box_metal_volume * self.on)
+        return self.rate * self.p.box(self.p.box_metal_volume * self.weight)
 
     def through_metal(self, liquid: np.ndarray) -> np.ndarray:
         """Nothing: the metal's loss does not depend on the liquid."""
@@ -97,5 +99,5 @@ class FaradaicInterface(Interface):
     def correct(self, metal: np.ndarray, change: np.ndarray, saturated: float) -> np.ndarray:
         """Metal after the flux of the active nodes changed by `change` in theta."""
         p = self.p
-        flux = self.rate * p.box(change * p.box_free_volume)
+        flux = self.rate * self.local * p.box(change * p.box_free_volume)
         return np.where(self.emptied, 0.0, np.clip(metal - self.tau * flux, 0.0, self.old_metal))

@@ -1,17 +1,73 @@
-"""Corrosion kinetics: how the interface diffusivity depends on the state of the metal.
+"""Corrosion kinetics: how fast an interface dissolves, by what the metal and its liquid are like.
 
-Each law gives one factor >= 0 that multiplies the interface diffusivity (or dissolution flux)
-stated at zero volume loss.  A new law is one class with a `factor` method and an entry in
-KINETICS; `derivatives` (of the factor, by the name of the law's parameter, and by "volume_loss")
-lets a fit follow them.  Both take one volume loss or an array of them.
+A law gives a rate >= 0 that multiplies the interface diffusivity (or dissolution flux) stated at
+zero volume loss: one number for the whole metal, or one per metal node.  A new law is one class
+with `needs` and `rate`, and an entry in KINETICS; `derivatives` (of the rate, by the name of the
+law's parameter, and by "volume_loss") lets a fit follow it.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, ClassVar
 
 from peri.engine.constants import FARADAY, GAS_CONSTANT
+
+if TYPE_CHECKING:
+    import numpy as np
+
+
+@dataclass(frozen=True)
+class Exposed:
+    """What a law may look at: one number for the whole metal, or arrays over its nodes.
+
+    volume_loss : V_L of the whole metal.  concentration : of the liquid that a node sees, mol/m^3
+    (the mean over its bonds to liquid).  potential : metal minus liquid, V.  age : s since the
+    node was exposed.  What a law does not need may be missing.
+    """
+
+    volume_loss: float | np.ndarray = 0.0
+    concentration: np.ndarray | None = None
+    potential: np.ndarray | float | None = None
+    age: np.ndarray | None = None
+
+
+QUANTITIES = tuple(f.name for f in fields(Exposed))
+"""What a law may need."""
+
+_GLOBAL = frozenset({"volume_loss"})
+
+
+class Kinetics:
+    """A law of the rate.
+
+    needs : names of the quantities of `Exposed` that the rate depends on.  With nothing but the
+    volume loss the rate is one number, and clean liquid reduces to one equation (peri.omissions).
+    slows : whether the rate never rises with the volume loss, other things equal; bounds of what
+    a march may leave out rest on it.
+    """
+
+    needs: ClassVar[frozenset[str]] = _GLOBAL
+    slows: ClassVar[bool] = False
+
+    def rate(self, at: Exposed) -> float | np.ndarray:
+        """The rate over that at zero volume loss, >= 0; of the shape of what the law needs."""
+        raise NotImplementedError(f"{type(self).__name__} has no rate")
+
+    def key(self) -> dict[str, object]:
+        """What determines the law, for the mark of a checkpoint."""
+        return {"law": type(self).__qualname__, **vars(self)}
+
+    @property
+    def is_global(self) -> bool:
+        """Whether the rate is one number for the whole metal, given by its volume loss."""
+        return self.needs <= _GLOBAL
+
+    @property
+    def never_speeds_up(self) -> bool:
+        """Whether rate(zero volume loss) bounds the rate of a march from above."""
+        return self.is_global and (self.slows or not self.needs)
 
 
 def _positive(name: str, value: float) -> None:
@@ -20,10 +76,12 @@ def _positive(name: str, value: float) -> None:
 
 
 @dataclass(frozen=True)
-class ConstantRate:
-    """Factor 1: the interface diffusivity does not change."""
+class ConstantRate(Kinetics):
+    """Rate 1: the interface diffusivity does not change."""
 
-    def factor(self, volume_loss: float) -> float:
+    needs = frozenset()
+
+    def rate(self, at: Exposed) -> float | np.ndarray:
         """1 for every volume loss."""
         return 1.0
 
@@ -33,8 +91,8 @@ class ConstantRate:
 
 
 @dataclass(frozen=True)
-class VolumeLossLaw:
-    """Factor 10^(-V_L / l) of Eq. 5.13 of the dissertation.
+class VolumeLossLaw(Kinetics):
+    """Rate 10^(-V_L / l) of Eq. 5.13 of the dissertation.
 
     The law V_L = l log10(1 + t/tau) of a uniformly corroding body (Eq. 5.9 with log read as
     log10) makes the rate fall by a factor ten per l of volume loss.
@@ -45,24 +103,26 @@ class VolumeLossLaw:
         l, dimensionless like V_L (the tables print m^3), > 0.
     """
 
+    slows = True
+
     length: float
 
     def __post_init__(self) -> None:
         _positive("length", self.length)
 
-    def factor(self, volume_loss: float) -> float:
+    def rate(self, at: Exposed) -> float | np.ndarray:
         """10^(-V_L / l)."""
-        return 10.0 ** (-volume_loss / self.length)
+        return 10.0 ** (-at.volume_loss / self.length)
 
     def derivatives(self, volume_loss: float) -> dict[str, float]:
         """By l (per unit of l) and by V_L."""
-        steepness = math.log(10) / self.length * self.factor(volume_loss)
+        steepness = math.log(10) / self.length * self.rate(Exposed(volume_loss))
         return {"length": steepness * volume_loss / self.length, "volume_loss": -steepness}
 
 
 @dataclass(frozen=True)
-class Tafel:
-    """Factor 10^(eta / beta_a) of Eq. 2.47.
+class Tafel(Kinetics):
+    """Rate 10^(eta / beta_a) of Eq. 2.47.
 
     Parameters
     ----------
@@ -72,20 +132,22 @@ class Tafel:
         Anodic Tafel slope beta_a, V per decade, > 0.
     """
 
+    needs = frozenset()
+
     overpotential: float
     slope: float
 
     def __post_init__(self) -> None:
         _positive("slope", self.slope)
-        _factor_in_range("overpotential", self.overpotential, self.overpotential / self.slope)
+        _rate_in_range("overpotential", self.overpotential, self.overpotential / self.slope)
 
-    def factor(self, volume_loss: float) -> float:
+    def rate(self, at: Exposed) -> float | np.ndarray:
         """10^(eta / beta_a), whatever the volume loss."""
         return 10.0 ** (self.overpotential / self.slope)
 
     def derivatives(self, volume_loss: float) -> dict[str, float]:
         """By eta (1/V) and by beta_a (1/V)."""
-        steepness = math.log(10) / self.slope * self.factor(volume_loss)
+        steepness = math.log(10) / self.slope * self.rate(Exposed(volume_loss))
         return {
             "overpotential": steepness,
             "slope": -steepness * self.overpotential / self.slope,
@@ -94,8 +156,8 @@ class Tafel:
 
 
 @dataclass(frozen=True)
-class ButlerVolmer:
-    """Factor exp(alpha_a z F eta / RT) - exp(-alpha_c z F eta / RT) of Eq. 3.92.
+class ButlerVolmer(Kinetics):
+    """Rate exp(alpha_a z F eta / RT) - exp(-alpha_c z F eta / RT) of Eq. 3.92.
 
     Parameters
     ----------
@@ -109,6 +171,8 @@ class ButlerVolmer:
         K, > 0.
     """
 
+    needs = frozenset()
+
     overpotential: float
     charge_number: float = 2.0
     anodic_transfer: float = 0.5
@@ -120,13 +184,13 @@ class ButlerVolmer:
             _positive(name, getattr(self, name))
         if not self.overpotential >= 0:
             raise ValueError(f"overpotential: {self.overpotential} V; it must be at least 0")
-        _factor_in_range("overpotential", self.overpotential, self._exponent() / math.log(10))
+        _rate_in_range("overpotential", self.overpotential, self._exponent() / math.log(10))
 
     def _exponent(self) -> float:
         scaled = self.charge_number * FARADAY / (GAS_CONSTANT * self.temperature)
         return self.anodic_transfer * scaled * self.overpotential
 
-    def factor(self, volume_loss: float) -> float:
+    def rate(self, at: Exposed) -> float | np.ndarray:
         """The bracket of Eq. 3.92, whatever the volume loss."""
         anodic = self._exponent()
         return math.exp(anodic) - math.exp(-anodic * self.cathodic_transfer / self.anodic_transfer)
@@ -150,12 +214,12 @@ class ButlerVolmer:
         }
 
 
-def _factor_in_range(name: str, value: float, decades: float) -> None:
+def _rate_in_range(name: str, value: float, decades: float) -> None:
     if not abs(decades) <= 100:
         raise ValueError(f"{name}: {value}; it changes the rate by more than 100 decades")
 
 
-KINETICS = {
+KINETICS: dict[str, type[Kinetics]] = {
     "constant": ConstantRate,
     "volume_loss": VolumeLossLaw,
     "tafel": Tafel,

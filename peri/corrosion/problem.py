@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
 from peri.corrosion import bimaterial
 from peri.corrosion.bimaterial import BiMaterial
 from peri.corrosion.interface import late_exposure
+from peri.corrosion.kinetics import Exposed
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.checkpoints import fingerprint
 from peri.engine.problem import Attempt, Fields, FirstOrder, Stage, State
@@ -16,6 +17,9 @@ from peri.engine.processes import ONE_PROCESS, OneProcess
 
 _LATE = 4.0
 """Weight of what a step exposes too late (or, under Faraday's law, at an estimated time)."""
+
+_OF_THE_BOX = ("theta", "exposed")
+"""Fields that live on the box around the metal."""
 
 COLUMNS = {
     "volume_loss": "1",
@@ -33,7 +37,9 @@ class CorrosionProblem(FirstOrder):
     """A corrosion scene, discretised and ready to be marched.
 
     Fields of its states: `concentration` (padded lattice, mol/m^3), `metal` (padded, bool) and,
-    after an implicit stage, `theta` (padded box, the saturation factors).  Numbers:
+    after an implicit stage, `theta` (padded box, the saturation factors); `exposed` (padded box,
+    s: when a metal node first saw liquid, infinite before) where the kinetics needs an age.
+    Numbers:
     `volume_loss`, `released` (mol), `initial` (metal at the start, mol), `dissolved` (nodes in
     the last step).
 
@@ -44,6 +50,8 @@ class CorrosionProblem(FirstOrder):
     solver_tolerance : float
         Relative residual of the linear solutions.
     processes : OneProcess or its like
+    given : names of quantities
+        What a coupled problem puts into `discrete.surface` before each step (the potential).
 
     discrete : BiMaterial, the discrete equations.
     """
@@ -56,10 +64,17 @@ class CorrosionProblem(FirstOrder):
         scene: CorrosionScene | None,
         solver_tolerance: float = 1e-9,
         processes: OneProcess = ONE_PROCESS,
+        given: Collection[str] = (),
     ) -> None:
         self.processes, self._whole_scene = processes, scene
         self.discrete = BiMaterial(scene, solver_tolerance, processes)
         self.scene = self.discrete.scene
+        missing = self.scene.kinetics.needs - {"volume_loss", "concentration", "age"} - set(given)
+        if missing:
+            raise ValueError(
+                f"kinetics: {type(self.scene.kinetics).__name__} needs "
+                f"{', '.join(sorted(missing))}, which a march of corrosion alone does not have"
+            )
 
     def key(self) -> str:
         """Hash of the scene and the solver's tolerance."""
@@ -76,7 +91,22 @@ class CorrosionProblem(FirstOrder):
         metal, _ = discrete.amounts(concentration)
         numbers = {"volume_loss": 0.0, "released": 0.0, "initial": metal, "dissolved": 0.0}
         fields = {"concentration": concentration, "metal": discrete.metal}
+        if self._ages:
+            fields["exposed"] = np.where(self._exposed(), 0.0, np.inf)
         return State(0.0, fields, numbers)
+
+    @property
+    def _ages(self) -> bool:
+        return "age" in self.scene.kinetics.needs and self.discrete.box is not None
+
+    def _exposed(self) -> np.ndarray:
+        """Metal nodes of the box that see liquid."""
+        return self.discrete.box_metal & (self.discrete.box_neighbour_liquid > 0)
+
+    def _surround(self, state: State) -> None:
+        """Tell the kinetics how old the surface is at the time of a state."""
+        if self._ages:
+            self.discrete.surface["age"] = np.maximum(0.0, state.time - state.fields["exposed"])
 
     def restore(self, state: State) -> None:
         """Take the phases from a state."""
@@ -89,7 +119,7 @@ class CorrosionProblem(FirstOrder):
 
     def pack(self, name: str, values: np.ndarray) -> np.ndarray:
         """The whole lattice's field on the root."""
-        if name == "theta":
+        if name in _OF_THE_BOX:
             values = self.discrete.put(values)
         return self.processes.gather(self.discrete.sum.crop(values))
 
@@ -98,7 +128,7 @@ class CorrosionProblem(FirstOrder):
         values = self.discrete.sum.pad(self.processes.scatter(stored))
         if name == "metal":
             return values > 0
-        return self.discrete.take(values) if name == "theta" else values
+        return self.discrete.take(values) if name in _OF_THE_BOX else values
 
     def accept(self, state: State, stages: Sequence[Stage], step: float) -> None:
         """Metal that is used up turns liquid."""
@@ -112,6 +142,9 @@ class CorrosionProblem(FirstOrder):
         dissolved = self.discrete.dissolve(concentration, stages[-1].extra.emptied)
         state.fields["metal"] = self.discrete.metal
         state.numbers["dissolved"] = dissolved
+        if self._ages and dissolved:
+            new = self._exposed() & np.isinf(state.fields["exposed"])
+            state.fields["exposed"] = np.where(new, state.time, state.fields["exposed"])
         state.numbers["volume_loss"] = self.discrete.volume_loss(concentration)
 
     def row(self, state: State) -> tuple[float, ...]:
@@ -146,6 +179,7 @@ class CorrosionProblem(FirstOrder):
 
     def stage(self, old: Fields, tau: float, guess: State) -> Stage:
         """See BiMaterial.implicit_stage."""
+        self._surround(guess)
         solved = self.discrete.implicit_stage(
             old["concentration"],
             tau,
@@ -157,6 +191,7 @@ class CorrosionProblem(FirstOrder):
 
     def explicit(self, old: State, step: float) -> Stage:
         """See BiMaterial.explicit_step."""
+        self._surround(old)
         loss = old.numbers["volume_loss"]
         new, release, theta = self.discrete.explicit_step(old.fields["concentration"], step, loss)
         return self._stage(bimaterial.Stage(new, theta, loss, release, 0, 1))
@@ -171,13 +206,17 @@ class CorrosionProblem(FirstOrder):
 
     def limits(self, state: State) -> tuple[float, float]:
         """Stability of the explicit step, and the fastest metal node (1/s)."""
-        discrete = self.discrete
-        return 1.0 / max(discrete.fastest_rate(), 1e-300), discrete.fastest_rates()[1]
+        self._surround(state)
+        rates = self.discrete.fastest_rates(state.fields["concentration"])
+        return 1.0 / max(*rates, 1e-300), rates[1]
 
     def pace(self, state: State) -> float:
         """The fastest metal node's relative loss, 1/s."""
-        rate = self.processes.largest(float(self.discrete.metal_rates().max(initial=0.0)))
-        return rate * self.scene.kinetics.factor(0.0)
+        discrete, law = self.discrete, self.scene.kinetics
+        if not law.is_global:
+            return self.limits(state)[1]
+        rate = self.processes.largest(float(discrete.metal_rates().max(initial=0.0)))
+        return rate * law.rate(Exposed(0.0))
 
     def bounded(self, fields: Fields) -> Fields:
         """Concentrations from 0 to C_solid."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from peri.corrosion.kinetics import ConstantRate
+from peri.corrosion.kinetics import QUANTITIES, ConstantRate, Kinetics
 from peri.engine.cells import hand_over
 from peri.engine.influence import Stencil, diffusion_stencil
 from peri.engine.lattice import Lattice
@@ -54,7 +54,8 @@ class CorrosionScene:
     dissolution : {"proportional", "faradaic"}
         What an interface bond carries: D_int w (C_i - C_j), or the flux of Faraday's law,
         D_int w C_solid, until its metal node is empty (faradaic.py).
-    kinetics : object with factor(volume_loss)
+    kinetics : Kinetics
+        How fast the interface dissolves; see corrosion.kinetics.
     kernel_exponent, influence, calibration :
         See influence.diffusion_stencil.
     saturation : {"complementarity", "as_published", "none"}
@@ -78,7 +79,7 @@ class CorrosionScene:
     dissolution_flux: float | None = None
     flux_calibration: str = "isotropic"
     dissolution: str = "proportional"
-    kinetics: object = ConstantRate()
+    kinetics: Kinetics = ConstantRate()
     kernel_exponent: float = 0.0
     influence: str = "constant"
     calibration: str = "discrete"
@@ -110,6 +111,13 @@ class CorrosionScene:
                 "saturation: 'as_published' with dissolution 'faradaic'; its switch belongs to "
                 "the proportional law, allowed: complementarity, none"
             )
+        if not isinstance(self.kinetics, Kinetics):
+            raise ValueError(
+                f"kinetics: {self.kinetics!r}; it must be a corrosion.kinetics.Kinetics"
+            )
+        if not self.kinetics.needs <= set(QUANTITIES):
+            unknown = ", ".join(sorted(self.kinetics.needs - set(QUANTITIES)))
+            raise ValueError(f"kinetics: it needs {unknown}; known: {', '.join(QUANTITIES)}")
         for name in ("solid_concentration", "saturation_concentration", "liquid_diffusivity"):
             _check_positive(name, getattr(self, name))
         if not self.saturation_concentration < self.solid_concentration:

@@ -9,6 +9,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.optimize import minimize_scalar
 
 from peri.corrosion.bimaterial import BiMaterial
+from peri.corrosion.kinetics import Exposed
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.cells import around
 
@@ -19,10 +20,10 @@ def front_depth(scene: CorrosionScene, end_time: float) -> float:
     A node loses only once it sees liquid, at a rate of at most lambda = D_int g(0) times its
     whole bond sum, so it turns liquid no sooner than t = ln(C_solid/C_sat) / lambda later
     (1 / lambda under Faraday's law).  Each such time moves the front by at most a horizon.
-    The kinetics must not speed up.
+    The kinetics must not speed up (Kinetics.never_speeds_up).
     """
     reach = float(np.max(np.multiply(scene.stencil.reach, scene.stencil.spacing)))
-    rate = scene.base_interface_diffusivity() * scene.kinetics.factor(0.0)
+    rate = scene.base_interface_diffusivity() * scene.kinetics.rate(Exposed(0.0))
     rate *= scene.stencil.total * float(scene.capacity().max(initial=1.0))
     if rate == 0 or end_time == 0:
         return reach
@@ -82,10 +83,10 @@ def least_loss(scene: CorrosionScene, end_time: float, problem: BiMaterial | Non
     first flux; V_L does not fall afterwards.  `problem`: the scene's, where the caller has it.
     """
     problem = problem or BiMaterial(scene)
-    rate = problem.base_diffusivity * scene.kinetics.factor(0.0)
+    rate = problem.base_diffusivity * scene.kinetics.rate(Exposed(0.0))
     if problem.box is None or rate == 0:
         return 0.0
-    rates = problem.metal_rates()[scene.metal] * scene.kinetics.factor(0.0)
+    rates = problem.metal_rates()[scene.metal] * scene.kinetics.rate(Exposed(0.0))
     if not rates.max(initial=0.0) > 0:
         return 0.0
     seen = problem.box(problem.box_metal_volume)
@@ -94,6 +95,7 @@ def least_loss(scene: CorrosionScene, end_time: float, problem: BiMaterial | Non
     volumes = scene.capacity()[scene.metal]
     first = time * float(volumes @ rates) / float(volumes.sum())
     # The metal's own loss and the kinetics weaken the flux further, by less than a half if tiny.
-    steepest = scene.kinetics.factor(min(1.0, 2.0 * first)) / scene.kinetics.factor(0.0)
+    later = scene.kinetics.rate(Exposed(min(1.0, 2.0 * first)))
+    steepest = later / scene.kinetics.rate(Exposed(0.0))
     left = max(0.0, 0.5 - time * float(rates.max())) * steepest
     return first * left

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from peri.corrosion.bimaterial import BiMaterial
+from peri.corrosion.kinetics import Exposed
 from peri.corrosion.run import CorrosionResult, corrode
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.marching import TimeStepping
@@ -68,7 +69,7 @@ def liquid_bound(scene: CorrosionScene, problem: BiMaterial | None = None) -> np
     if problem.box is None:
         return out
     unbounded = np.where(problem.sum.crop(problem.free.astype(float)) > 0, np.inf, 0.0)
-    rate = problem.base_diffusivity * scene.kinetics.factor(0.0)
+    rate = problem.base_diffusivity * scene.kinetics.rate(Exposed(0.0))
     if rate == 0:
         return out
     if not problem.fixed.any():
@@ -135,7 +136,7 @@ def _solid_core(scene: CorrosionScene, end_time: float) -> Omission:
         f"diffusion between the {count} metal nodes is not part of the model, so each one is "
         "eliminated exactly and takes no unknown"
     )
-    if not _speeds_up(scene):
+    if scene.kinetics.never_speeds_up:
         risk = int(metal_at_risk(scene, end_time).sum())
         depth = 1e6 * front_depth(scene, end_time)
         reason += (
@@ -143,11 +144,6 @@ def _solid_core(scene: CorrosionScene, end_time: float) -> Omission:
             f"reached at most {depth:.3g} um deep"
         )
     return Omission(SOLID_CORE, reason, 0.0, True)
-
-
-def _speeds_up(scene: CorrosionScene) -> bool:
-    factors = [scene.kinetics.factor(v) for v in np.linspace(0.0, 1.0, 101)]
-    return bool(np.any(np.diff(factors) > 0))
 
 
 def _coarse_liquid(scene: CorrosionScene, distance: np.ndarray) -> Omission:
@@ -179,7 +175,9 @@ def _far_liquid(
     highest = scene.saturation_concentration
     if scene.saturation != "complementarity":
         highest = scene.solid_concentration
-    least = 0.0 if _speeds_up(scene) else least_loss(scene, end_time, problem)
+    least = 0.0
+    if scene.kinetics.never_speeds_up:
+        least = least_loss(scene, end_time, problem)
     reach = float(np.max(np.multiply(scene.stencil.reach, scene.stencil.spacing)))
     if not least > 0 or not liquid.any() or not scene.metal.any():
         return _far_needed("there is no bound of what the metal loses at least"), scene.domain
@@ -227,8 +225,9 @@ def _liquid(scene, problem, end_time, tolerance, refused) -> Omission:
         return Omission(
             LIQUID, "needed: a front that moves at a given flux is marched", math.inf, False
         )
-    if _speeds_up(scene):
-        return Omission(LIQUID, "needed: the kinetics speeds up with volume loss", math.inf, False)
+    if not scene.kinetics.never_speeds_up:
+        reason = "needed: the kinetics may speed up, or differs from place to place"
+        return Omission(LIQUID, reason, math.inf, False)
     bound = liquid_bound(scene, problem)
     reach = bound[scene.domain & ~scene.metal].max(initial=0.0)
     if not np.isfinite(reach):

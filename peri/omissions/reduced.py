@@ -25,6 +25,7 @@ from numpy.polynomial import legendre
 from numpy.typing import ArrayLike, NDArray
 
 from peri.corrosion.bimaterial import BiMaterial
+from peri.corrosion.kinetics import Exposed, Kinetics
 from peri.corrosion.scene import CorrosionScene
 
 Array = NDArray[np.float64]
@@ -63,7 +64,7 @@ class RateFactor:
     slopes: Mapping[str, Array]
 
 
-def factor_of(kinetics: object) -> Callable[[Array], RateFactor]:
+def factor_of(kinetics: Kinetics) -> Callable[[Array], RateFactor]:
     """A law of `peri.corrosion.kinetics` as `ReducedCorrosion.volume_loss` takes it.
 
     A law without `derivatives` has no slopes.
@@ -73,7 +74,7 @@ def factor_of(kinetics: object) -> Callable[[Array], RateFactor]:
     def factor(volume_loss: Array) -> RateFactor:
         slopes = derivatives(volume_loss)
         return RateFactor(
-            np.broadcast_to(kinetics.factor(volume_loss), np.shape(volume_loss)),
+            np.broadcast_to(kinetics.rate(Exposed(volume_loss)), np.shape(volume_loss)),
             {name: slope for name, slope in slopes.items() if name != "volume_loss"},
         )
 
@@ -260,7 +261,13 @@ class ReducedCorrosion:
 
 
 def refuse_other_laws(scene: CorrosionScene) -> None:
-    """Refuse a scene whose bonds do not carry D_int w (C_i - C_j)."""
+    """Refuse a scene whose bonds do not carry D_int g(V_L) w (C_i - C_j)."""
+    if not scene.kinetics.is_global:
+        needs = ", ".join(sorted(scene.kinetics.needs))
+        raise ValueError(
+            f"kinetics: {type(scene.kinetics).__name__} needs {needs}; clean liquid reduces to one "
+            "equation for laws of the volume loss alone"
+        )
     if scene.dissolution != "proportional":
         raise ValueError(
             f"dissolution: {scene.dissolution!r}; clean liquid reduces to one equation for "

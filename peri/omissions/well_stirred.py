@@ -15,6 +15,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from peri.corrosion.bimaterial import BiMaterial
+from peri.corrosion.kinetics import Exposed
 from peri.corrosion.run import HISTORY, CorrosionResult
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.stepping import GAMMA
@@ -92,7 +93,7 @@ def clean_march(
         """Y = right - tau lambda g(V_L(Y)) Y."""
 
         def after(loss: float) -> np.ndarray:
-            return right / (1.0 + tau * levels * scene.kinetics.factor(loss))
+            return right / (1.0 + tau * levels * scene.kinetics.rate(Exposed(loss)))
 
         def excess(loss: float) -> float:
             left = never + float(weights @ np.maximum(after(loss) - saturated, 0.0))

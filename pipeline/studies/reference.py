@@ -16,6 +16,7 @@ import numba
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from peri.corrosion.kinetics import Exposed
 from peri.engine.influence import closed_constant
 from peri.engine.lattice import box_lattice
 from pipeline.geometry.surface import Solid
@@ -77,7 +78,7 @@ def continuum_volume_loss(
         return min(1.0, scale * float(weights @ -np.expm1(-levels * stretched)))
 
     solution = solve_ivp(
-        lambda t, s: [kinetics.factor(loss(s[0]))],
+        lambda t, s: [kinetics.rate(Exposed(loss(s[0])))],
         (0.0, times[-1]), [0.0], method="DOP853", t_eval=times, rtol=1e-9,
         atol=1e-9 / levels.max(),
     )  # fmt: skip

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import perilife_data
+from peri.corrosion.kinetics import Exposed
 from pipeline.benches.registry import BENCHMARKS, Benchmark, Result
 from pipeline.cli import main, sentence
 from pipeline.record import interruption, machine
@@ -459,7 +460,7 @@ def test_the_law_of_the_rate_is_a_choice(capsys, law, factors):
     add_scene_options(parser)
     scene = scene_from_options(parser.parse_args(_changed(*changes)))
     found = corrosion_stage.rate_law(scene_from_json(scene.to_json()), "Mg-5Gd")
-    assert [found.factor(v) for v in (0.0, 0.1)] == pytest.approx(factors, rel=1e-12)
+    assert [found.rate(Exposed(v)) for v in (0.0, 0.1)] == pytest.approx(factors, rel=1e-12)
     rows = provenance.to_be_listed(provenance.parameter_rows(scene))
     assert any(row.value == law for row in rows) == (law is not None)
     assert main(["plan", *_changed(*changes), "--json"]) == 0

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from peri.corrosion.bimaterial import BiMaterial
-from peri.corrosion.kinetics import VolumeLossLaw
+from peri.corrosion.kinetics import Exposed, VolumeLossLaw
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.lattice import ball, box_lattice
 
@@ -41,7 +41,7 @@ def clean_liquid_loss(scene, times):
         return 1.0 - left / (volume.sum() * (solid - saturated))
 
     solution = solve_ivp(
-        lambda t, s: [scene.kinetics.factor(loss(s[0]))],
+        lambda t, s: [scene.kinetics.rate(Exposed(loss(s[0])))],
         (0.0, times[-1]),
         [0.0],
         method="DOP853",

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from peri.corrosion.bimaterial import BiMaterial
-from peri.corrosion.kinetics import ConstantRate, VolumeLossLaw
+from peri.corrosion.kinetics import ConstantRate, Exposed, VolumeLossLaw
 from tests.peri.corrosion.scenes import WEEK, pin
 from tests.peri.dense import pair_matrix
 
@@ -17,7 +17,7 @@ def right_side(problem, scene, theta, volume_loss):
     weights = pair_matrix(scene.stencil, scene.lattice.shape)
     metal = scene.metal.ravel()
     liquid = (scene.domain & ~scene.metal).ravel()
-    rate = scene.base_interface_diffusivity() * scene.kinetics.factor(volume_loss)
+    rate = scene.base_interface_diffusivity() * scene.kinetics.rate(Exposed(volume_loss))
     across = rate * np.outer(metal, liquid * theta.ravel())
     diffusivity = scene.liquid_diffusivity * np.outer(liquid, liquid) + across + across.T
     coupling = weights * diffusivity * scene.capacity().ravel()[None, :]

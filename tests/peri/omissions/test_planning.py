@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from peri.corrosion.kinetics import ButlerVolmer, ConstantRate, VolumeLossLaw
+from peri.corrosion.kinetics import ButlerVolmer, ConstantRate, Kinetics, VolumeLossLaw
 from peri.corrosion.run import corrode
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.lattice import ball, box_lattice
@@ -176,11 +176,11 @@ def test_what_cannot_be_bounded_is_kept():
     assert "not offered" in offered.reason and not offered.applied
 
 
-class Speeding:
+class Speeding(Kinetics):
     """A kinetics that no bound covers."""
 
-    def factor(self, volume_loss):
-        return 1.0 + volume_loss
+    def rate(self, at):
+        return 1.0 + at.volume_loss
 
 
 @pytest.mark.parametrize(
