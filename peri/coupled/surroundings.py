@@ -81,8 +81,9 @@ class Surroundings:
         if discrete.box is None:
             return np.zeros(self.space.n)
         values = discrete.take(concentration)
-        rate = discrete.base_diffusivity * discrete.scene.kinetics.factor(volume_loss)
-        volume = discrete.box_metal_volume
+        liquid = np.where(discrete.box_metal, 0.0, values)
+        rate, local = discrete.interface_rate(volume_loss, discrete.seen_liquid(liquid))
+        volume = discrete.box_metal_volume * local
         inflow = rate * (discrete.box(volume * values) - values * discrete.box(volume))
         if theta is not None:
             inflow = inflow * theta
