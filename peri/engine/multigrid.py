@@ -88,7 +88,9 @@ def coarsening_plan(
     """
     n, h = np.array(shape), np.array(spacing, float)
     before, between = [], []
-    while (grow := (2 * h <= coarsest_start) & (n > 2)).any():
+    # A wave along a longer spacing is no matter of the nodes' diagonal, which short bonds make.
+    short = h < 1.5 * h[n > 2].min(initial=np.inf)
+    while (grow := (2 * h <= coarsest_start) & (n > 2) & short).any():
         before.append(grow)
         n, h = np.where(grow, -(-n // 2), n), np.where(grow, 2, 1) * h
     while n.prod() > _COARSEST_CELLS and (n > 2).any():
