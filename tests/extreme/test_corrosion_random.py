@@ -46,7 +46,7 @@ def scenes(draw):
         interface_diffusivity=draw(st.one_of(powers(-17.0, -12.0), st.sampled_from([0.0, 1e-9]))),
         kinetics=draw(st.one_of(st.just(ConstantRate()), powers(-2.5, 0.0).map(VolumeLossLaw))),
         kernel_exponent=draw(st.sampled_from([0.0, -0.5, 0.5])),
-        calibration=draw(st.sampled_from(["discrete", "closed"])),
+        calibration=draw(st.sampled_from(["discrete", "as_published"])),
         saturation=draw(st.sampled_from(["complementarity", "as_published", "none"])),
     )
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from peri.engine.influence import closed_constant, diffusion_stencil
+from peri.engine.influence import closed_constant, diffusion_stencil, front_stencil
 from peri.engine.lattice import Lattice
 from tests.peri.dense import plain_moment, plain_weight
 
@@ -141,11 +141,82 @@ def test_front_strength_is_the_sum_over_pairs_across_a_plane():
     assert flux == pytest.approx(stencil.front_strength(0), rel=1e-13)  # round-off
 
 
+RATIOS = (1.0, 2.0, 5.0, 10.0, 25.0, 100.0)
+
+
+@pytest.mark.parametrize("ratio", RATIOS)
+@pytest.mark.parametrize("m", [1, 2, 3, 4, 8])
+@pytest.mark.parametrize("long", [0, 1, 2])
+def test_stretched_lattices_are_calibrated_exactly(ratio, m, long):
+    """1:1 to 100:1, in 1D to 3D: second moments, and the strengths of an interface's bonds."""
+    for dimension in range(long + 1, 4):
+        spacing = [1e-6] * dimension
+        spacing[long] *= ratio
+        lattice, horizon = lattice_of(*spacing), tuple(m * h for h in spacing)
+        stencil = diffusion_stencil(lattice, horizon)
+        # round-off
+        np.testing.assert_allclose(stencil.diffusivities, 1.0, rtol=1e-13)
+        front = front_stencil(lattice, horizon)
+        strengths = [front.front_strength(a) for a in range(dimension)]
+        np.testing.assert_allclose(strengths, 1.0, rtol=1e-13)
+        for positive in (stencil, front):
+            assert positive.octant.min() >= 0 and (positive.octant > 0).sum() > 0
+
+
+def test_a_front_along_every_axis_has_the_flux_that_it_says():
+    """Flux through the plane between two half-spaces at 25:1, added up pair by pair."""
+    spacing, m = (25e-6, 1e-6), 4
+    full = front_stencil(lattice_of(*spacing), tuple(m * h for h in spacing)).dense()
+    for a, h in enumerate(spacing):
+        plane = full.sum(axis=1 - a)  # weights by offset along a
+        flux = sum(
+            plane[m + depth + ahead + 1] * h for depth in range(m) for ahead in range(m - depth)
+        )
+        assert flux == pytest.approx(1.0, rel=1e-13)  # round-off
+    # the weights of diffusion: S_x 3.22e4, S_y 5.57e5 1/m
+    diffusion = diffusion_stencil(lattice_of(*spacing), tuple(m * h for h in spacing))
+    strengths = [diffusion.front_strength(a) for a in (0, 1)]
+    np.testing.assert_allclose(strengths, [3.220e4, 5.569e5], rtol=2e-4)
+
+
+def test_a_plane_and_a_rotated_wave_decay_alike():
+    """Symbols of long waves over 64 directions at 25:1: |k|^2 up to the fourth order."""
+    spacing, m = (25e-6, 1e-6), 4
+    stencil = diffusion_stencil(lattice_of(*spacing), tuple(m * h for h in spacing))
+    x, y = (h * np.arange(-r, r + 1) for h, r in zip(spacing, stencil.reach, strict=True))
+    wave = 2 * np.pi / (200 * m * max(spacing))
+    for angle in np.linspace(0.0, 2 * np.pi, 64):
+        phase = wave * (np.cos(angle) * x[:, None] + np.sin(angle) * y[None, :])
+        symbol = (stencil.dense() * 2.0 * np.sin(0.5 * phase) ** 2).sum()
+        # measured 1.4e-5, along the long spacing
+        assert symbol / wave**2 == pytest.approx(1.0, rel=5e-5)
+
+
+def test_the_published_calibration_says_what_it_amounts_to(caplog):
+    """Jafarzadeh et al. 2022 at 25:1, delta = 4 dx: 0.21761 D along, 6.96532 D across."""
+    lattice, horizon = lattice_of(25e-6, 1e-6), (100e-6, 4e-6)
+    with caplog.at_level("INFO", "peri.engine.influence"):
+        stencil = diffusion_stencil(lattice, horizon, calibration="as_published")
+    np.testing.assert_allclose(stencil.diffusivities, [0.21761, 6.96532], rtol=2e-5)
+    assert "diffusivities 0.218 D, 6.97 D along the axes" in caplog.text
+    with pytest.raises(ValueError, match="'closed' on a stretched lattice .* 0.218 D, 6.97 D"):
+        diffusion_stencil(lattice, horizon, calibration="closed")
+    # many spacings: the integral's isotropy returns (0.63 and 2.0 at 16)
+    many = diffusion_stencil(lattice, (16 * 25e-6, 16e-6), calibration="as_published")
+    np.testing.assert_allclose(many.diffusivities, [0.63, 2.0], rtol=0.02)
+    # on equal spacings nothing is new
+    one, other = (
+        diffusion_stencil(lattice_of(1.0, 1.0), 3.0, calibration=name).octant
+        for name in ("closed", "as_published")
+    )
+    np.testing.assert_array_equal(one, other)
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
         ({"influence": "cubic"}, "influence: 'cubic'; allowed: constant, linear"),
-        ({"calibration": "none"}, "calibration: 'none'; allowed: discrete, closed"),
+        ({"calibration": "none"}, "calibration: 'none'; allowed: discrete, closed, as_pub"),
         ({"kernel_exponent": 1.0}, "kernel_exponent"),
         ({"kernel_exponent": float("nan")}, "kernel_exponent"),
         ({"horizon": 0.5}, "horizon"),
