@@ -91,10 +91,42 @@ def stored_gain(u: Array, out: Array, nodes: Array, shifts: Array, weights: Arra
         target[nodes[n]] = total
 
 
+_ONE = np.uint64(1)
+_DE_BRUIJN = np.uint64(0x03F79D71B4CB0A89)
+"""Multiplied by a power of two, its highest six bits tell which power."""
+_POWER = np.zeros(64, np.int64)
+for _p in range(64):
+    _POWER[(int(_DE_BRUIJN) << _p & 2**64 - 1) >> 58] = _p
+
+
 @njit(cache=True)
-def is_broken(bits: Array, o: int) -> bool:
-    """Whether bit `o` of a node's words is set."""
-    return (bits[o >> 6] >> np.uint64(o & 63)) & np.uint64(1) != 0
+def count_bits(word: int) -> int:
+    """Number of bits that are set in a 64-bit word."""
+    count = 0
+    while word != 0:
+        word &= word - _ONE
+        count += 1
+    return count
+
+
+@njit(cache=True)
+def lowest_bit(word: int) -> int:
+    """Place of the lowest bit that is set in a 64-bit word other than 0."""
+    alone = word & (~word + _ONE)
+    return _POWER[(alone * _DE_BRUIJN) >> np.uint64(58)]
+
+
+@njit(cache=True)
+def partners(i: int, j: int, k: int, shape: Triple, reach: Triple, offsets: Array) -> int:
+    """How many bonds of a node end within the lattice."""
+    ra, rb, rc = reach
+    if ra <= i < shape[0] - ra and rb <= j < shape[1] - rb and rc <= k < shape[2] - rc:
+        return offsets.shape[0]
+    count = 0
+    for o in range(offsets.shape[0]):
+        x, y, z = i + offsets[o, 0], j + offsets[o, 1], k + offsets[o, 2]
+        count += 0 <= x < shape[0] and 0 <= y < shape[1] and 0 <= z < shape[2]
+    return count
 
 
 @by_size(fastmath=CONTRACT)
@@ -107,39 +139,45 @@ def take_out_broken(
     shape: Triple,
     reach: Triple,
     offsets: Array,
+    shifts: Array,
     weights: Array,
 ) -> None:
     """Take the broken bonds out of the sums `out` of the listed tiles' nodes.
 
     bits (tiles, nodes of a tile, words): bit o of a node is its bond along offset o; corners
-    (tiles, 3): first node of each tile; edges: nodes of a tile per axis; shape: of the lattice.
-    A node that has lost more than half of its bonds is summed anew over the others, so that the
-    sum of one that has lost all is exactly zero.
+    (tiles, 3): first node of each tile; edges: nodes of a tile per axis; shape: of the lattice;
+    shifts (bonds,): the offsets in a flattened padded array.  A node that has lost more than half
+    of its bonds is summed anew over the others, so that the sum of one that has lost all is
+    exactly zero.
     """
     ra, rb, rc = reach
     ea, eb, ec = edges
+    source = u.ravel()
+    bonds = weights.size
     for t in prange(corners.shape[0]):
         for n in range(ea * eb * ec):
             i, j = corners[t, 0] + n // (eb * ec), corners[t, 1] + n // ec % eb
             k = corners[t, 2] + n % ec
             if i >= shape[0] or j >= shape[1] or k >= shape[2]:
                 continue
-            own, count = bits[t, n], 0
-            for o in range(weights.size):
-                count += is_broken(own, o)
+            count = 0
+            for w in range(bits.shape[2]):
+                count += count_bits(bits[t, n, w])
             if count == 0:
                 continue
-            partners = 0
-            for o in range(weights.size):
-                x, y, z = i + offsets[o, 0], j + offsets[o, 1], k + offsets[o, 2]
-                inside = 0 <= x < shape[0] and 0 <= y < shape[1] and 0 <= z < shape[2]
-                partners += inside
-            anew = 2 * count > partners
+            anew = 2 * count > partners(i, j, k, shape, reach, offsets)
+            here = ((i + ra) * u.shape[1] + j + rb) * u.shape[2] + k + rc
             total = 0.0
-            for o in range(weights.size):
-                if is_broken(own, o) != anew:
-                    near = u[i + ra + offsets[o, 0], j + rb + offsets[o, 1], k + rc + offsets[o, 2]]
-                    total += weights[o] * near
+            for w in range(bits.shape[2]):
+                word = bits[t, n, w]
+                if anew:
+                    word = ~word
+                while word != 0:
+                    o = 64 * w + lowest_bit(word)
+                    if o >= bonds:
+                        break
+                    total += weights[o] * source[here + shifts[o]]
+                    word &= word - _ONE
             if anew:
                 out[i + ra, j + rb, k + rc] = total
             else:

@@ -30,6 +30,9 @@ from peri.schemes.stored import BondTable, flat_shifts
 _LARGEST_RANGE = 600.0
 """Largest range of s over the nodes for which exp(s / 2) is formed (doubles end at 1400)."""
 
+_BLOCK = 2048
+"""Nodes whose bonds are stored at a time: their intermediate arrays stay in the cache."""
+
 
 def mean_conductances(
     bond_sum: NonlocalSum, conductivity: np.ndarray, unknown: np.ndarray, coefficient: float = 1.0
@@ -190,18 +193,20 @@ class BondConductance(Operator):
         """Keep k_ij of the unknown nodes' bonds, and the diagonal, sum_j k_ji."""
         nodes, field = np.flatnonzero(self.unknown), self._field.ravel()
         there = self._filled(self.there).ravel()
-        table = np.empty((nodes.size, self._weights.size))
-        outflow = np.zeros(nodes.size)
+        shifts = flat_shifts(self.sum, self._offsets)
+        table, outflow = np.empty((nodes.size, shifts.size)), np.empty(nodes.size)
         broken = None
         if isinstance(self.sum, BrokenSum):
             broken = self.sum.broken.of_nodes(self.unknown[self.sum.interior] > 0)
-        for o, shift in enumerate(flat_shifts(self.sum, self._offsets)):
-            weight = self.coefficient * self._weights[o] * there[nodes + shift]
+        for first in range(0, nodes.size, _BLOCK):
+            block = slice(first, first + _BLOCK)
+            ends = nodes[block, None] + shifts
+            weight = self.coefficient * self._weights * there[ends]
             if broken is not None:
-                weight = np.where(broken[:, o], 0.0, weight)
-            here, near = field[nodes], field[nodes + shift]
-            table[:, o] = weight * self.rule(here, near)
-            outflow += weight * self.rule(near, here)
+                weight[broken[block]] = 0.0
+            here, near = field[nodes[block], None], field[ends]
+            table[block] = weight * self.rule(here, near)
+            outflow[block] = (weight * self.rule(near, here)).sum(axis=1)
         self._table = BondTable(self.sum, self.unknown, table)
         self._diagonal.ravel()[nodes] = outflow
 

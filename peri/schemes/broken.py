@@ -13,6 +13,7 @@ import numpy as np
 from peri.engine.influence import Stencil
 from peri.engine.operators import NonlocalSum, beside, neighbours, signed_bonds
 from peri.schemes import bond_kernels
+from peri.schemes.stored import flat_shifts
 
 _TILE = (4, 8, 16)
 """Nodes of a tile per axis: 512 in 3D.  Smaller ones waste less around a crack, larger ones hold
@@ -38,6 +39,7 @@ class BrokenBonds:
         self.stencil, self.shape, self.reach = stencil, base.shape, base.reach
         self.lattice_shape = base.lattice_shape
         self.offsets, self.weights = signed_bonds(base)
+        self.shifts = flat_shifts(base, self.offsets)
         self.words = max(1, -(-len(self.offsets) // 64))
         self.edges = tuple(min(e, n) for e, n in zip(_TILE, self.shape, strict=True))
         self._grid = tuple(-(-n // e) for n, e in zip(self.shape, self.edges, strict=True))
@@ -179,7 +181,7 @@ class BrokenSum(NonlocalSum):
         b = self.broken
         if b.count:
             bond_kernels.take_out_broken(
-                u, out, b.bits, b.corners, b.edges, b.shape, b.reach, b.offsets, weights
+                u, out, b.bits, b.corners, b.edges, b.shape, b.reach, b.offsets, b.shifts, weights
             )
 
     def intact(self, axis: int) -> np.ndarray | None:

@@ -101,9 +101,10 @@ class Collocation(Operator):
         self._there = fast.pad(there)
         nodes = np.flatnonzero(on)
         shifts = flat_shifts(listing, offsets)
-        near = self._there.ravel()[nodes[:, None] + shifts] > 0
-        own = ~near.all(axis=1) if complete else np.ones(nodes.size, bool)
-        table = _rows(bonds, near[own], diffusivity)
+        count = listing(self._there).ravel()[nodes]
+        own = count < offsets.shape[0] - 0.5 if complete else np.ones(nodes.size, bool)
+        near = self._there.ravel()[nodes[own][:, None] + shifts] > 0
+        table = _rows(bonds, near, diffusivity)
         diagonal = np.zeros(fast.padded_shape)
         diagonal.ravel()[nodes] = diffusivity * fast.stencil.total
         diagonal.ravel()[nodes[own]] = table.sum(axis=1)
@@ -126,8 +127,10 @@ class Collocation(Operator):
 def _rows(bonds: np.ndarray, near: np.ndarray, diffusivity: float) -> np.ndarray:
     """Rows of their own, (nodes, bonds); each pattern of neighbours `near` is fitted once."""
     table = np.zeros(near.shape)
-    patterns, number = np.unique(near, axis=0, return_inverse=True)
-    for p, pattern in enumerate(patterns):
+    _, first, number = np.unique(
+        np.packbits(near, axis=1), axis=0, return_index=True, return_inverse=True
+    )
+    for p, pattern in enumerate(near[first]):
         try:
             row = laplacian_row(bonds[pattern])
         except ValueError as error:

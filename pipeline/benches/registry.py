@@ -12,6 +12,7 @@ from pathlib import Path
 
 from perilife_data import did_you_mean
 from pipeline.benches import corrosion as bench_corrosion
+from pipeline.benches import operators as bench_operators
 from pipeline.benches import tensile as bench_tensile
 from pipeline.benches.result import Result
 from pipeline.record import machine
@@ -127,6 +128,11 @@ BENCHMARKS: dict[str, Benchmark] = {
     ),
     "stencil": Benchmark("bond sums per second, direct and by FFT", bench_corrosion.stencil),
     "implicit": Benchmark("CG iterations and time per unknown", bench_corrosion.implicit),
+    "operators": Benchmark(
+        "every kind of bond: product, iterations, solution",
+        bench_operators.operators,
+        bench_operators.small_operators,
+    ),
     "screw": Benchmark(
         "the published full screw run, 2.14e6 nodes, 56 days (15 minutes)",
         bench_corrosion.screw,
