@@ -57,8 +57,17 @@ BELOW = {
         "studies": {"scene", "geometry", "record", "stages"},
         "calibration": {"scene", "geometry", "record", "stages"},
         "life_cycle": {"scene", "geometry", "record", "stages", "report"},
-        "benches": {"scene", "geometry", "record", "stages", "studies", "life_cycle"},
         "campaigns": {"scene", "geometry", "record", "stages", "calibration", "life_cycle"},
+        "benches": {
+            "scene",
+            "geometry",
+            "record",
+            "stages",
+            "studies",
+            "calibration",
+            "life_cycle",
+            "campaigns",
+        },
         "cli": {
             "scene",
             "record",

@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from perilife_data import did_you_mean
+from pipeline.benches import calibration as bench_calibration
 from pipeline.benches import corrosion as bench_corrosion
 from pipeline.benches import operators as bench_operators
 from pipeline.benches import tensile as bench_tensile
@@ -137,6 +138,11 @@ BENCHMARKS: dict[str, Benchmark] = {
         "the published full screw run, 2.14e6 nodes, 56 days (15 minutes)",
         bench_corrosion.screw,
         bench_corrosion.small_screw,
+    ),
+    "calibration": Benchmark(
+        "fits, posteriors, marches and bands of the screw (10 minutes)",
+        bench_calibration.calibration,
+        bench_calibration.small_calibration,
     ),
     "pitting-step": Benchmark(
         "explicit and implicit pitting on 128 x 128 x 64 nodes",
