@@ -16,6 +16,7 @@ from pathlib import Path
 
 from perilife_data import did_you_mean
 from pipeline.calibration.command import add_calibrate_options
+from pipeline.campaigns.options import add_design_options
 from pipeline.record import interruption
 from pipeline.scene.options import add_scene_options
 
@@ -111,6 +112,10 @@ def build_parser() -> argparse.ArgumentParser:
     add_scene_options(calibrate, immersion=False)
     add_calibrate_options(calibrate)
     _add_folder_options(calibrate)
+    design = add("design", _design, "which value of an option keeps a strength for a time")
+    add_scene_options(design, immersion=False)
+    add_design_options(design)
+    _add_folder_options(design)
     add("alloys", _alloys, "the alloys and parameter sets that are known")
     bench = add("bench", _bench, "benchmarks of this machine")
     bench.add_argument("name", metavar="NAME", help="name of a benchmark, or list")
@@ -323,6 +328,15 @@ def _calibrate(options: argparse.Namespace) -> int:
     from pipeline.calibration.command import run_calibrate
 
     run_calibrate(options, print)
+    return 0
+
+
+def _design(options: argparse.Namespace) -> int:
+    from pipeline.campaigns.design import run_design
+    from pipeline.record.progress import progress_for
+
+    with progress_for(sys.stderr, options.quiet) as progress:
+        run_design(options, progress, print)
     return 0
 
 

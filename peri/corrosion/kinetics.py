@@ -85,7 +85,7 @@ class ConstantRate(Kinetics):
         """1 for every volume loss."""
         return 1.0
 
-    def derivatives(self, volume_loss: float) -> dict[str, float]:
+    def derivatives(self, at: Exposed) -> dict[str, float | np.ndarray]:
         """No parameters, no slope."""
         return {"volume_loss": 0.0}
 
@@ -114,10 +114,10 @@ class VolumeLossLaw(Kinetics):
         """10^(-V_L / l)."""
         return 10.0 ** (-at.volume_loss / self.length)
 
-    def derivatives(self, volume_loss: float) -> dict[str, float]:
+    def derivatives(self, at: Exposed) -> dict[str, float | np.ndarray]:
         """By l (per unit of l) and by V_L."""
-        steepness = math.log(10) / self.length * self.rate(Exposed(volume_loss))
-        return {"length": steepness * volume_loss / self.length, "volume_loss": -steepness}
+        steepness = math.log(10) / self.length * self.rate(at)
+        return {"length": steepness * at.volume_loss / self.length, "volume_loss": -steepness}
 
 
 @dataclass(frozen=True)
@@ -145,9 +145,9 @@ class Tafel(Kinetics):
         """10^(eta / beta_a), whatever the volume loss."""
         return 10.0 ** (self.overpotential / self.slope)
 
-    def derivatives(self, volume_loss: float) -> dict[str, float]:
+    def derivatives(self, at: Exposed) -> dict[str, float | np.ndarray]:
         """By eta (1/V) and by beta_a (1/V)."""
-        steepness = math.log(10) / self.slope * self.rate(Exposed(volume_loss))
+        steepness = math.log(10) / self.slope * self.rate(at)
         return {
             "overpotential": steepness,
             "slope": -steepness * self.overpotential / self.slope,
@@ -195,7 +195,7 @@ class ButlerVolmer(Kinetics):
         anodic = self._exponent()
         return math.exp(anodic) - math.exp(-anodic * self.cathodic_transfer / self.anodic_transfer)
 
-    def derivatives(self, volume_loss: float) -> dict[str, float]:
+    def derivatives(self, at: Exposed) -> dict[str, float | np.ndarray]:
         """By every parameter, per unit of it."""
         anodic = self._exponent()
         cathodic = anodic * self.cathodic_transfer / self.anodic_transfer

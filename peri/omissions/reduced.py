@@ -69,10 +69,10 @@ def factor_of(kinetics: Kinetics) -> Callable[[Array], RateFactor]:
 
     A law without `derivatives` has no slopes.
     """
-    derivatives = getattr(kinetics, "derivatives", lambda volume_loss: {})
+    derivatives = getattr(kinetics, "derivatives", lambda at: {})
 
     def factor(volume_loss: Array) -> RateFactor:
-        slopes = derivatives(volume_loss)
+        slopes = derivatives(Exposed(volume_loss))
         return RateFactor(
             np.broadcast_to(kinetics.rate(Exposed(volume_loss)), np.shape(volume_loss)),
             {name: slope for name, slope in slopes.items() if name != "volume_loss"},

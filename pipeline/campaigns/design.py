@@ -24,6 +24,7 @@ from pipeline.calibration.models import (
     with_constants,
 )
 from pipeline.campaigns.bands import samples_of
+from pipeline.campaigns.options import LENGTHS
 from pipeline.life_cycle import LifeCycle
 from pipeline.record.progress import Progress
 from pipeline.record.run_folder import StageRecord
@@ -31,9 +32,6 @@ from pipeline.scene.options import scene_from_options
 from pipeline.scene.scene import Scene, SceneError
 from pipeline.scene.units import format_length, parse_length, parse_time
 from pipeline.stages.opening import open_run
-
-LENGTHS = ("diameter", "length", "pitch", "slot_width", "slot_depth")
-"""Options of the scene that a design may vary, besides the alloy."""
 
 SAMPLES = 400
 _WIDTH = 0.01
@@ -51,8 +49,8 @@ class Target:
 
     def __post_init__(self) -> None:
         if (self.share is None) == (self.force is None):
-            raise ValueError("give either --keep or --force; exactly one of them is needed")
-        for name, value in (("--keep", self.share), ("--probability", self.probability)):
+            raise ValueError("give either --strength-left or --force, exactly one of them")
+        for name, value in (("--strength-left", self.share), ("--probability", self.probability)):
             if value is not None and not 0 < value < 1:
                 raise ValueError(f"{name} is {value:g}; it must be above 0 and below 1")
         if self.force is not None and not 0 < self.force < math.inf:
@@ -165,8 +163,8 @@ class Designer:
         keeps = {value: c.excess(self.target) >= 0 for value, c in ends.items()}
         if all(keeps.values()):
             raise SceneError(
-                f"{name}: every value tried from {format_length(low)} to {format_length(high)} keeps "
-                f"{self.target.in_words()}; the range must hold one that does not"
+                f"{name}: every value tried from {format_length(low)} to {format_length(high)} "
+                f"keeps {self.target.in_words()}; the range must hold one that does not"
             )
         if not any(keeps.values()):
             best = max(ends.values(), key=lambda c: c.excess(self.target))
@@ -176,8 +174,16 @@ class Designer:
                 f"{100 * best.share:.1f} % and {best.peak:.4g} N"
             )
         good, bad = (high, low) if keeps[high] else (low, high)
+        step = 0
         while abs(good - bad) > _WIDTH * max(good, bad):
-            middle = _between(good, bad, ends[good], ends[bad], self.target)
+            # The secant alone may close in from one side only; every other step halves.
+            best, worst = (ends[v].excess(self.target) for v in (good, bad))
+            share = 0.5 if step % 2 or best <= worst else best / (best - worst)
+            share = min(0.9, max(0.1, share))
+            middle = 1e-6 * round(1e6 * (good + share * (bad - good)))
+            step += 1
+            if middle in (good, bad):  # a micrometre apart
+                break
             ends[middle] = at(middle)
             if ends[middle].excess(self.target) >= 0:
                 good = middle
@@ -191,30 +197,6 @@ class Designer:
         return sorted(found, key=lambda c: -c.excess(self.target))
 
 
-def _between(good: float, bad: float, best: Candidate, worst: Candidate, target: Target) -> float:
-    """The secant's root, kept off the ends by a tenth of the interval; steps of a micrometre."""
-    above, below = best.excess(target), worst.excess(target)
-    share = above / (above - below) if above > below else 0.5
-    return round(1e6 * (good + min(0.9, max(0.1, share)) * (bad - good))) * 1e-6
-
-
-def add_design_options(parser: argparse.ArgumentParser) -> None:
-    """Options of `perilife design` beside those of the scene."""
-    group = parser.add_argument_group("design")
-    group.add_argument("--keep", type=float, metavar="X", help="share of the intact strength")
-    group.add_argument("--force", metavar="F", help="or a force, as 300N")
-    group.add_argument("--at", required=True, metavar="T", help="when it must be left, as 12w")
-    group.add_argument(
-        "--probability", type=float, metavar="P", help="with the samples of a fitted set"
-    )
-    group.add_argument(
-        "--vary",
-        required=True,
-        metavar="NAME=LOW:HIGH",
-        help=f"one of {', '.join(n.replace('_', '-') for n in LENGTHS)}; or alloy=A,B",
-    )
-
-
 def run_design(
     options: argparse.Namespace, progress: Progress, say: Callable[[str], None]
 ) -> Candidate:
@@ -226,12 +208,14 @@ def run_design(
         raise ValueError(f"--vary is '{options.vary}'; it must be NAME=LOW:HIGH, NAME of {known}")
     target = Target(
         parse_time(options.at, "time").seconds,
-        options.keep,
+        options.strength_left,
         None if options.force is None else _newtons(options.force),
         options.probability,
     )
     if name != "alloy" and len(options.alloy) != 1:
-        raise ValueError(f"--alloy is {' '.join(options.alloy)}; a design by {name} is of one alloy")
+        raise ValueError(
+            f"--alloy is {' '.join(options.alloy)}; a design by {name} is of one alloy"
+        )
     designer = Designer(options, target, Path(options.out), progress, say)
     if name == "alloy":
         found = designer.alloys([v for v in values.split(",") if v])
@@ -249,9 +233,10 @@ def run_design(
         if not 0 < ends[0] < ends[1]:
             raise ValueError(f"--vary is '{options.vary}'; the range must rise from above 0")
         best = designer.length(name, *ends)
+    left = f"{100 * best.share:.1f} % and {best.peak:.4g} N"
     say(
-        f"{name.replace('_', ' ')} {best.label} keeps {target.in_words()}: {100 * best.share:.1f} % "
-        f"and {best.peak:.4g} N; its run is in {best.folder}"
+        f"{name.replace('_', ' ')} {best.label} keeps {target.in_words()}: {left}; its run is in "
+        f"{best.folder}"
     )
     return best
 

@@ -218,7 +218,7 @@ def test_every_laws_slope_in_the_volume_loss(law):
     losses, step = np.linspace(0.01, 0.3, 5), 1e-6
     rates = [law.rate(Exposed(losses + h)) for h in (step, -step)]
     difference = np.subtract(*rates) / (2 * step)
-    expected = np.broadcast_to(law.derivatives(losses)["volume_loss"], losses.shape)
+    expected = np.broadcast_to(law.derivatives(Exposed(losses))["volume_loss"], losses.shape)
     np.testing.assert_allclose(np.broadcast_to(difference, losses.shape), expected, rtol=1e-6)
 
 

@@ -13,14 +13,18 @@ from pipeline.record.bands import BandRow, read_bands, write_bands
 from pipeline.record.summary import read_summary
 from pipeline.scene.resolve import resolve_scene
 from pipeline.scene.scene import SceneError
-from tests.pipeline.calibration.test_calibrate import COARSE, DATA, PIN
+from tests.pipeline.calibration.test_calibrate import COARSE, PIN
 
 
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory):
-    """The parameter set of a coarse pin."""
-    out = tmp_path_factory.mktemp("fit") / "set"
-    data = f"Mg-5Gd={DATA}"
+    """The parameter set of a coarse pin, from synthetic data slow enough for clean liquid."""
+    folder = tmp_path_factory.mktemp("fit")
+    file, out = folder / "synthetic.csv", folder / "set"
+    columns = "immersion time [w], volume loss [%], standard deviation [%]"
+    rows = "1, 3.4, 0.5\n2, 4.6, 0.5\n3, 6.4, 0.5\n4, 7.2, 0.5\n8, 9.9, 0.5"
+    file.write_text(f"{columns}\n{rows}\n")
+    data = f"Mg-5Gd={file}"
     arguments = ["calibrate", "--alloy", "Mg-5Gd", "--volume-loss", data, *PIN]
     assert main([*arguments, "--out", str(out)]) == 0
     return out / "parameters.toml"

@@ -1,0 +1,25 @@
+"""Options of the commands of this room; nothing slow is imported for them."""
+
+import argparse
+
+LENGTHS = ("diameter", "length", "pitch", "slot_width", "slot_depth")
+"""Options of the scene that a design may vary, besides the alloy."""
+
+
+def add_design_options(parser: argparse.ArgumentParser) -> None:
+    """Options of `perilife design` beside those of the scene."""
+    group = parser.add_argument_group("design")
+    group.add_argument(
+        "--strength-left", type=float, metavar="X", help="share of the intact strength"
+    )
+    group.add_argument("--force", metavar="F", help="or a force, as 300N")
+    group.add_argument("--at", required=True, metavar="T", help="when it must be left, as 12w")
+    group.add_argument(
+        "--probability", type=float, metavar="P", help="with the samples of a fitted set"
+    )
+    group.add_argument(
+        "--vary",
+        required=True,
+        metavar="NAME=LOW:HIGH",
+        help=f"one of {', '.join(n.replace('_', '-') for n in LENGTHS)}; or alloy=A,B",
+    )
