@@ -36,6 +36,7 @@ def corrosion_hash(scene: Scene, alloy: str) -> str:
         dataclasses.asdict(scene.corrosion),
         dataclasses.asdict(scene.alloy(alloy).corrosion),
         [time.seconds for time in scene.with_intact()],
+        *([] if scene.ions is None else [dataclasses.asdict(scene.ions)]),
     )
 
 

@@ -4,6 +4,16 @@ import argparse
 import dataclasses
 from pathlib import Path
 
+from pipeline.scene.ions import (
+    ACTIVITIES,
+    CLOSURES,
+    DEFAULT_MEDIUM,
+    DEFAULT_MINERALS,
+    FLUX_FORMS,
+    MODELS,
+    IonSettings,
+    resolve_ions,
+)
 from pipeline.scene.loads import LOADS
 from pipeline.scene.rate_law import kinetics_in_words
 from pipeline.scene.resolution import RESOLUTIONS
@@ -95,6 +105,21 @@ def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -
     corrosion.add_argument("--boundary", metavar="B", help=", ".join(BOUNDARIES))
     corrosion.add_argument("--radial-margin", metavar="LENGTH", help="liquid beside the solid")
     corrosion.add_argument("--axial-margin", metavar="LENGTH", help="liquid above and below it")
+    ions = parser.add_argument_group("ions, pH and minerals (with --model nnpp)")
+    ions.add_argument(
+        "--model",
+        default=MODELS[0],
+        choices=MODELS,
+        help="nnpp: bi-material metal, and the ions of the medium around it (bi-material)",
+    )
+    ions.add_argument("--medium", metavar="M", help=f"name, or TOML file ({DEFAULT_MEDIUM})")
+    ions.add_argument(
+        "--minerals", nargs="*", metavar="M", help=f"may form ({', '.join(DEFAULT_MINERALS)})"
+    )
+    ions.add_argument("--activity", metavar="A", help=", ".join(ACTIVITIES))
+    ions.add_argument("--flux-form", metavar="F", help=f"{', '.join(FLUX_FORMS)} (sqra)")
+    ions.add_argument("--closure", metavar="C", help=f"{', '.join(CLOSURES)} (electroneutral)")
+    ions.add_argument("--balance", metavar="ION", help="its amount as neutrality wants it")
     tensile = parser.add_argument_group("tensile test, where the preset is not wanted")
     tensile.add_argument(
         "--load",
@@ -189,6 +214,7 @@ def scene_from_options(options: argparse.Namespace) -> Scene:
         corrosion=corrosion,
         tensile=tensile,
         measured_volume_loss=_measured(options),
+        ions=_ions(options),
     )
     if options.kinetics is not None:
         from pipeline.scene.resolve import rate_law
@@ -228,6 +254,17 @@ def _domain(options: argparse.Namespace) -> DomainSettings | None:
     if options.boundary is not None:
         changes["boundary"] = options.boundary
     return dataclasses.replace(DomainSettings(), **changes) if changes else None
+
+
+def _ions(options: argparse.Namespace) -> IonSettings | None:
+    names = ("medium", "minerals", "activity", "flux_form", "closure", "balance")
+    given = {n: getattr(options, n) for n in names if getattr(options, n) is not None}
+    if options.model == "bi-material":
+        if given:
+            name = next(iter(given)).replace("_", "-")
+            raise ValueError(f"--{name} goes with --model nnpp, which must be given too")
+        return None
+    return resolve_ions(**given)
 
 
 def _measured(options: argparse.Namespace) -> dict[str, str]:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import perilife_data
 from fem.constitutive.hardening import fit_voce
+from pipeline.scene.ions import IonSettings
 from pipeline.scene.rate_law import read_kinetics
 from pipeline.scene.resolution import resolution
 from pipeline.scene.scene import (
@@ -42,6 +43,7 @@ def resolve_scene(
     corrosion: dict[str, object] | None = None,
     tensile: dict[str, object] | None = None,
     measured_volume_loss: dict[str, str] | None = None,
+    ions: IonSettings | None = None,
 ) -> Scene:
     """Build the scene of a run.
 
@@ -49,7 +51,7 @@ def resolve_scene(
     parameter_set: name of a shipped set or path of a TOML file; lengths in m where the
     preset is not to be used; corrosion, tensile: fields of CorrosionSettings and
     TensileScene that differ from their defaults; measured_volume_loss: CSV file per alloy,
-    plotted beside the result.
+    plotted beside the result; ions: the medium (pipeline.scene.ions) where the model is nnpp.
 
     Raises ValueError or FileNotFoundError with one sentence for whatever cannot be computed.
     """
@@ -92,6 +94,7 @@ def resolve_scene(
         mesh=MeshSettings(size, fine),
         tensile=TensileScene(**{**defaults, **(tensile or {})}),
         measured_volume_loss=dict(measured_volume_loss or {}),
+        ions=ions,
     )
 
 

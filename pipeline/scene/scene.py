@@ -16,6 +16,7 @@ from fem.quadrature import ELEMENTS
 from peri.engine.stepping import SCHEMES as TIME_SCHEMES
 from perilife_data import did_you_mean
 from perilife_data.limits import LARGEST_YIELD_STRAIN
+from pipeline.scene.ions import IonSettings
 from pipeline.scene.loads import LOADS
 from pipeline.scene.rate_law import read_kinetics
 from pipeline.scene.screw import ScrewParameters
@@ -354,6 +355,7 @@ class Scene:
     mesh: MeshSettings
     tensile: TensileScene
     measured_volume_loss: dict[str, str] = field(default_factory=dict)
+    ions: IonSettings | None = None
     schema_version: int = SCHEMA_VERSION
 
     def __post_init__(self) -> None:
@@ -385,6 +387,20 @@ class Scene:
                 f"at least horizon plus lattice spacing, {format_length(least)}",
             )
 
+        if self.ions is not None:
+            _check(
+                self.domain.boundary == "refreshed",
+                "boundary",
+                f"'{self.domain.boundary}'",
+                "refreshed where the model is nnpp, whose ions need a way out",
+            )
+            _check(
+                self.corrosion.dissolution == "proportional",
+                "dissolution",
+                f"'{self.corrosion.dissolution}'",
+                "proportional where the model is nnpp",
+            )
+
     def alloy(self, name: str) -> AlloyScene:
         """The alloy called `name`; SceneError names those of the scene."""
         for alloy in self.alloys:
@@ -407,7 +423,10 @@ class Scene:
 
     def to_json(self) -> dict:
         """Plain mapping that `scene_from_json` turns back into an equal scene."""
-        return json.loads(json.dumps(dataclasses.asdict(self), allow_nan=False))
+        content = json.loads(json.dumps(dataclasses.asdict(self), allow_nan=False))
+        if self.ions is None:
+            del content["ions"]
+        return content
 
     def hash(self) -> str:
         """Hash of everything in the scene."""

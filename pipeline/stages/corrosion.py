@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from peri.corrosion.results import write_corrosion, write_history, write_image_series
-from peri.corrosion.run import CorrosionResult
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.checkpoints import CheckpointError
 from peri.engine.influence import diffusion_stencil
@@ -25,6 +24,7 @@ from pipeline.geometry.surface import Solid
 from pipeline.geometry.voxels import metal_fraction
 from pipeline.scene.resolve import rate_law
 from pipeline.scene.scene import CorrosionParameters, Scene
+from pipeline.stages import ions as ion_stage
 from pipeline.stages.geometry import read_surface
 
 logger = logging.getLogger(__name__)
@@ -198,29 +198,31 @@ def corrode_in_folder(
     checkpoint = out / CHECKPOINT_FILE
     times = [time.seconds for time in scene.with_intact()]
 
-    def march(resume: bool) -> tuple[CorrosionResult, list[Omission]]:
-        return corrode_lean(
-            corrosion,
-            times,
-            TimeStepping(
-                scheme=scene.corrosion.scheme,
-                step=scene.corrosion.step,
-                rate_change=scene.corrosion.rate_change,
-            ),
-            tolerance=scene.corrosion.tolerance,
-            refused=scene.corrosion.keep,
-            progress=advanced,
-            checkpoint=checkpoint,
-            resume=resume,
-            checkpoint_every=checkpoint_every,
-        )
+    stepping = TimeStepping(
+        scheme=scene.corrosion.scheme,
+        step=scene.corrosion.step,
+        rate_change=scene.corrosion.rate_change,
+    )
+
+    def march(resume: bool) -> tuple:
+        how = {
+            "tolerance": scene.corrosion.tolerance,
+            "refused": scene.corrosion.keep,
+            "progress": advanced,
+            "checkpoint": checkpoint,
+            "resume": resume,
+            "checkpoint_every": checkpoint_every,
+        }
+        if scene.ions is not None:
+            return ion_stage.corrode_with_ions(corrosion, scene.ions, times, stepping, **how)
+        return corrode_lean(corrosion, times, stepping, **how)
 
     try:
-        result, omissions = march(checkpoint.exists())
+        result, omissions, *with_ions = march(checkpoint.exists())
     except CheckpointError as error:
         logger.warning("%s; the march starts anew", error)
         checkpoint.unlink()
-        result, omissions = march(False)
+        result, omissions, *with_ions = march(False)
     write_corrosion(out / CORROSION_FILE, result)
     history = dict(result.history)
     history["degradation_rate"] = degradation_rate(history["volume_loss"], history["time"], solid)
@@ -245,4 +247,11 @@ def corrode_in_folder(
             {**asdict(o), "bound": o.bound if math.isfinite(o.bound) else None} for o in omissions
         ],
     }
-    return [out / name for name in (CORROSION_FILE, HISTORY_FILE, SERIES_FILE)], numbers
+    files = [out / name for name in (CORROSION_FILE, HISTORY_FILE, SERIES_FILE)]
+    if scene.ions is not None:
+        outputs, problem = with_ions
+        more, numbers["ions"] = ion_stage.write(
+            out, result, outputs, problem, scene.ions, solid.area
+        )
+        files += more
+    return files, numbers

@@ -1,0 +1,138 @@
+"""The ions of the medium as numbers of the scene: what `--model nnpp` adds to it."""
+
+import math
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+
+import perilife_data
+
+MODELS = ("bi-material", "nnpp")
+DEFAULT_MEDIUM = "simulated-body-fluid"
+DEFAULT_MINERALS = ("brucite", "calcite", "hydroxyapatite")
+ACTIVITIES = ("fixed", "ideal")
+FLUX_FORMS = ("sqra", "sg", "mean", "as_published")
+CLOSURES = ("electroneutral", "poisson", "as_published", "none")
+"""As in peri.transport, which is slow to import."""
+
+
+@dataclass(frozen=True)
+class IonSettings:
+    """The medium, its chemistry as numbers (SI, log10 K in mol/L), and how it is solved.
+
+    totals : amount of each species that the medium is made of, mol/m^3.
+    chemistry : the reaction set at the medium's temperature (perilife_data ReactionNumbers as a
+    plain mapping; the rate constant of a mineral in equilibrium is None).
+    assumed : names of the set's and the medium's quantities that are assumed or fitted.
+    """
+
+    medium: str
+    title: str
+    reactions: str
+    totals: dict[str, float]
+    chemistry: dict[str, object]
+    activity: str = "fixed"
+    flux_form: str = "sqra"
+    closure: str = "electroneutral"
+    assumed: tuple[str, ...] = ()
+    source: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name, value, allowed in (
+            ("activity", self.activity, ACTIVITIES),
+            ("flux form", self.flux_form, FLUX_FORMS),
+            ("closure", self.closure, CLOSURES),
+        ):
+            if value not in allowed:
+                raise ValueError(f"{name} is '{value}'; it must be one of {', '.join(allowed)}")
+
+    @property
+    def temperature(self) -> float:
+        """K."""
+        return float(self.chemistry["temperature"])  # type: ignore[arg-type]
+
+    @property
+    def minerals(self) -> tuple[str, ...]:
+        """Names of the minerals that may form."""
+        return tuple(self.chemistry["minerals"])  # type: ignore[arg-type]
+
+
+def resolve_ions(
+    medium: str = DEFAULT_MEDIUM,
+    minerals: list[str] | None = None,
+    balance: str | None = None,
+    **options: str,
+) -> IonSettings:
+    """Read a medium and its reaction set.
+
+    medium : name of a shipped medium, or path of a TOML file; minerals : names, None for the
+    default ones that the set holds; balance : a species whose amount is what neutrality wants
+    (the medium's charge is otherwise made up by H); options : activity, flux_form, closure.
+
+    Raises ValueError or FileNotFoundError with one sentence for whatever cannot be computed.
+    """
+    loaded = perilife_data.load_medium(medium)
+    if not loaded.reactions:
+        known = [n for n in perilife_data.list_media() if perilife_data.load_medium(n).reactions]
+        raise ValueError(
+            f"medium is '{loaded.name}', whose ions are not listed; those with ions are "
+            f"{', '.join(known)}"
+        )
+    reactions = perilife_data.load_reaction_set(loaded.reactions)
+    if minerals is None:
+        minerals = [m for m in DEFAULT_MINERALS if m in reactions.minerals]
+    numbers = reactions.at(loaded.temperature.si, tuple(minerals))
+    totals = {}
+    for name, species in loaded.species.items():
+        if name not in reactions.species:
+            raise ValueError(
+                f"medium '{loaded.name}' holds {name}, which the reaction set "
+                f"'{reactions.name}' does not know; it knows {', '.join(reactions.species)}"
+            )
+        if name not in ("H", "OH"):  # their amounts follow from neutrality
+            totals[name] = species.total_concentration.si
+    if balance is not None:
+        totals = _balanced(totals, numbers.charge_number, balance)
+    chemistry = asdict(numbers)
+    for mineral in chemistry["minerals"].values():
+        if math.isinf(mineral["rate_constant"]):
+            mineral["rate_constant"] = None
+    used = set(minerals)
+    assumed = [
+        f"{reactions.name}: {n}"
+        for n in reactions.assumed()
+        if not n.startswith("minerals.") or n.split(".")[1] in used
+    ]
+    assumed += [f"{loaded.name}: {n}" for n in loaded.assumed()]
+    settings = IonSettings(
+        medium=loaded.name,
+        title=loaded.title,
+        reactions=reactions.name,
+        totals=totals,
+        chemistry=_plain(chemistry),
+        activity=reactions.activity if reactions.activity != "davies" else "fixed",
+        assumed=tuple(assumed),
+        source={"medium": str(Path(medium))},
+    )
+    return replace(settings, **options)
+
+
+def _balanced(totals: dict[str, float], charges: dict[str, int], balance: str) -> dict[str, float]:
+    """The totals read as ions, with as much of one species as makes them neutral."""
+    if not charges.get(balance):
+        ions = ", ".join(n for n, z in charges.items() if z)
+        raise ValueError(f"balance is '{balance}'; it must be an ion of the set, one of {ions}")
+    rest = sum(charges[n] * c for n, c in totals.items() if n != balance)
+    amount = -rest / charges[balance]
+    if amount < 0:
+        raise ValueError(
+            f"balance is '{balance}'; the other ions carry {rest:+.4g} mol/m^3 of charge, which "
+            "it cannot make up for"
+        )
+    return {**totals, balance: amount}
+
+
+def _plain(value: object) -> object:
+    """Tuples as lists, so that a scene read back from JSON is equal."""
+    if isinstance(value, dict):
+        return {k: _plain(v) for k, v in value.items()}
+    return [_plain(v) for v in value] if isinstance(value, list | tuple) else value

@@ -1,0 +1,373 @@
+"""The ions of the corrosion stage: medium, joined march, files and numbers (`--model nnpp`)."""
+
+import logging
+import math
+import os
+import types
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+from peri.corrosion.problem import CorrosionProblem
+from peri.corrosion.run import HISTORY, CorrosionResult
+from peri.corrosion.scene import CorrosionScene
+from peri.coupled.degradation import Degradation
+from peri.engine.marching import TimeStepping, march
+from peri.engine.problem import State
+from peri.omissions.planning import LIQUID, Omission, corrode_lean
+from peri.transport.activity import check_strength
+from peri.transport.nernst_planck import TransportOptions
+from peri.transport.speciation import Solution, speciate
+from peri.transport.species import Chemistry
+from pipeline.scene.ions import IonSettings
+
+logger = logging.getLogger(__name__)
+
+IONS_FILE = "ions.h5"
+SERIES_FILE = "ions.pvd"
+SCHEMA_VERSION = 1
+_FIELDS = {"ph": "1", "potential": "V", "species": "mol/m3", "minerals": "mol/m3"}
+_MOLAR_VOLUME_OF_GAS = 24.05e-3
+"""m3/mol of an ideal gas at 20 degC and 1 atm, which evolved hydrogen is quoted at."""
+
+Output = dict[str, NDArray | float]
+
+
+def medium_of(ions: IonSettings) -> Solution:
+    """The medium in equilibrium with itself, at one node.
+
+    Raises ValueError for a medium beyond the activity law's range, or one whose charge only a
+    strong acid or base could make up.
+    """
+    numbers = dict(ions.chemistry)
+    numbers["components"] = tuple(numbers["components"])  # type: ignore[arg-type]
+    numbers["minerals"] = {
+        name: types.SimpleNamespace(
+            **{
+                **mineral,
+                "rate_constant": math.inf
+                if mineral["rate_constant"] is None
+                else mineral["rate_constant"],
+            }
+        )
+        for name, mineral in numbers["minerals"].items()  # type: ignore[attr-defined]
+    }
+    chemistry = Chemistry(types.SimpleNamespace(**numbers))
+    law = "ideal" if ions.activity == "ideal" else "davies"
+    medium = speciate(chemistry, chemistry.totals(ions.totals), law)
+    strength, ph = float(medium.strength[0]), float(medium.ph[0])
+    warning = check_strength(strength, ions.activity)
+    if warning:
+        logger.warning("medium %s: %s", ions.medium, warning)
+    if not 4 <= ph <= 10:
+        charges = dict(ions.chemistry["charge_number"])  # type: ignore[call-overload]
+        charge = sum(charges[n] * c for n, c in ions.totals.items())
+        wanted = -1 if charge > 0 else 1
+        ion = max((n for n in ions.totals if charges[n] == wanted), key=ions.totals.get)
+        raise ValueError(
+            f"medium '{ions.medium}' carries {charge:+.4g} mol/m^3 of charge as its ions are "
+            f"listed, which would make its pH {ph:.1f}; with --balance {ion} the amount of {ion} "
+            "is what neutrality wants"
+        )
+    for mineral, index in zip(chemistry.minerals, medium.saturation_index[:, 0], strict=True):
+        if index > 1e-9 and mineral.kind == "equilibrium" and mineral.region == "liquid":
+            logger.warning(
+                "the medium itself is supersaturated in %s (index %.2f), which would form without "
+                "end where fresh medium comes in", mineral.name, index,
+            )  # fmt: skip
+    return medium
+
+
+def options_of(ions: IonSettings) -> TransportOptions:
+    """How the scene asks for the liquid to be solved."""
+    return TransportOptions(flux_form=ions.flux_form, closure=ions.closure)
+
+
+def corrode_with_ions(
+    corrosion: CorrosionScene,
+    ions: IonSettings,
+    times: Sequence[float],
+    stepping: TimeStepping,
+    *,
+    tolerance: float,
+    refused: Sequence[str],
+    progress: Callable[[float, str], None] | None = None,
+    checkpoint: Path | None = None,
+    resume: bool = False,
+    checkpoint_every: float = 30.0,
+) -> tuple[CorrosionResult, list[Omission], list[Output], Degradation]:
+    """March metal and liquid; the ions' fields at every output time.
+
+    Where no mineral can form, the metal is marched as without ions and the liquid is computed at
+    the output times (the metal's kinetics does not read it); else both go together.
+    """
+    problem = Degradation(corrosion, medium_of(ions), options_of(ions))
+    omissions = ion_omissions(problem)
+    if not problem.follows_minerals:
+        result, of_metal = corrode_lean(
+            corrosion, times, stepping, tolerance=tolerance, refused=refused, progress=progress,
+            checkpoint=checkpoint, resume=resume, checkpoint_every=checkpoint_every,
+        )  # fmt: skip
+        if any(o.name == LIQUID and o.applied for o in of_metal) or not (
+            result.history["saturated_nodes"].any()
+        ):
+            return result, [*of_metal, *omissions], _afterwards(problem, result), problem
+        # Where the metal saturates its liquid, only the march knows what each bond carries.
+    done = march(
+        problem, times, stepping, checkpoint=checkpoint, resume=resume,
+        checkpoint_every=checkpoint_every, progress=progress,
+    )  # fmt: skip
+    concentration, metal, loss = (
+        np.array([output.pop(name) for output in done.outputs])
+        for name in ("concentration", "metal", "volume_loss")
+    )
+    history = {name: done.history[name] for name in HISTORY}
+    result = CorrosionResult(
+        corrosion, done.times, concentration, metal.astype(bool), loss, history, done.wall_time
+    )
+    for name, values in done.history.items():
+        if name not in HISTORY:
+            for output, time in zip(done.outputs, done.times, strict=True):
+                output[name] = float(np.interp(time, done.history["time"], values))
+    return result, omissions, done.outputs, problem
+
+
+def _afterwards(problem: Degradation, result: CorrosionResult) -> list[Output]:
+    """The liquid at the output times of a march of the metal alone."""
+    outputs = []
+    for concentration, metal, loss, time in zip(
+        result.concentration, result.metal, result.volume_loss, result.times, strict=True
+    ):
+        pad = problem.discrete.sum.pad
+        fields = {"concentration": pad(concentration), "metal": pad(metal) > 0}
+        initial, _ = problem.discrete.amounts(problem.discrete.initial_concentration)
+        numbers = {"volume_loss": float(loss), "dissolved": 0.0, "initial": initial}
+        state = State(float(time), fields, {**numbers, "released": 0.0})
+        problem.restore(state)
+        output = problem.snapshot(state)
+        lost = np.interp(time, result.history["time"], result.history["metal_amount"])
+        output["hydrogen_amount"] = float(result.history["metal_amount"][0] - lost)
+        for name in (*CorrosionProblem(problem.scene).initial().fields, "volume_loss"):
+            output.pop(name, None)
+        outputs.append(output)
+    return outputs
+
+
+def ion_omissions(problem: Degradation) -> list[Omission]:
+    """What of the liquid is not computed, and what that changes."""
+    around, options = problem.surroundings, problem.options
+    scene, first = problem.scene, problem.first
+    found = []
+    share = scene.saturation_concentration / scene.solid_concentration
+    found.append(
+        Omission(
+            "what a node holds when it turns liquid",
+            "the rest of a dissolved metal node is not handed to the ions",
+            share,
+            True,
+        )
+    )
+    width = float(
+        distance_transform_edt(~scene.metal, sampling=scene.lattice.spacing)[scene.domain].max()
+    )
+    slowest = float(problem.medium.chemistry.diffusivity.min())
+    relaxation = width**2 / (2 * slowest)
+    found.append(
+        Omission(
+            "the liquid's own content",
+            f"it relaxes within {relaxation:.0f} s, so it follows the release at rest; the bound "
+            "is of its content for a release that halves in a day",
+            relaxation / 86400.0,
+            True,
+        )
+    )
+    if not problem.follows_minerals:
+        names = ", ".join(m.name for m in around.liquid.minerals) or "none is declared"
+        found.append(
+            Omission(
+                "minerals",
+                "none passes its nucleation index at the first release, which is the largest "
+                f"({names}); the liquid is computed at the output times only",
+                0.0,
+                True,
+            )
+        )
+    if options.closure == "none":
+        bound = around.liquid.potential_bound(first)
+        ion = problem.medium.chemistry.names[around.liquid.inert]
+        found.append(
+            Omission(
+                "the potential",
+                f"it stays below {1e3 * bound:.2g} mV; {ion} "
+                "takes up the charge that diffusion separates",
+                3.0 * bound / around.liquid.thermal_voltage,
+                True,
+            )
+        )
+    return found
+
+
+def write(
+    out: Path,
+    result: CorrosionResult,
+    outputs: list[Output],
+    problem: Degradation,
+    ions: IonSettings,
+    area: float,
+) -> tuple[list[Path], dict[str, object]]:
+    """Write ions.h5 and the ParaView series ions.pvd; returns them and the numbers worth keeping.
+
+    area : surface of the solid, m2
+    """
+    chemistry = problem.medium.chemistry
+    names, minerals = list(chemistry.names), [m.name for m in chemistry.minerals]
+    scene = problem.scene
+    write_ions(out / IONS_FILE, scene, result.times, outputs, names, minerals)
+    write_ion_images(out, scene, result.times, outputs, names, minerals)
+    numbers = ion_numbers(result, outputs, problem, ions, area)
+    return [out / IONS_FILE, out / SERIES_FILE], numbers
+
+
+# --- files --------------------------------------------------------------------------------
+
+
+def write_ions(
+    path: Path,
+    scene: CorrosionScene,
+    times: NDArray,
+    outputs: list[Output],
+    names: list[str],
+    minerals: list[str],
+) -> None:
+    """Write the liquid's fields at the output times as HDF5, with units and dimensions."""
+    temporary = path.with_name(path.name + ".tmp")
+    axes = ", ".join("xyz"[: scene.lattice.dimension])
+    with h5py.File(temporary, "w") as file:
+        file.attrs["schema_version"] = SCHEMA_VERSION
+        for name in ("origin", "spacing", "shape"):
+            file[f"lattice/{name}"] = np.array(getattr(scene.lattice, name))
+        file["times"] = times
+        file["times"].attrs["unit"] = "s"
+        file["species_names"] = [n.encode() for n in names]
+        file["mineral_names"] = [n.encode() for n in minerals] or np.empty(0, "S1")
+        for name, unit in _FIELDS.items():
+            values = np.array([output[name] for output in outputs])
+            data = file.create_dataset(name, data=values, compression="lzf")
+            data.attrs["unit"] = unit
+            inner = {"species": "species, ", "minerals": "mineral, "}.get(name, "")
+            data.attrs["dimensions"] = f"time, {inner}{axes}"
+    os.replace(temporary, path)
+
+
+def write_ion_images(
+    folder: Path,
+    scene: CorrosionScene,
+    times: NDArray,
+    outputs: list[Output],
+    names: list[str],
+    minerals: list[str],
+) -> None:
+    """Write one VTK image per output time and the ParaView series ions.pvd."""
+    import pyvista
+
+    entries = []
+    for n, (time, output) in enumerate(zip(times, outputs, strict=True)):
+        image = pyvista.ImageData(
+            dimensions=scene.lattice.shape, spacing=scene.lattice.spacing,
+            origin=scene.lattice.origin,
+        )  # fmt: skip
+        for name in ("ph", "potential"):
+            image[name] = np.asarray(output[name]).ravel(order="F")
+        for name, values in zip(names, np.asarray(output["species"]), strict=True):
+            image[name] = values.ravel(order="F")
+        for name, values in zip(minerals, np.asarray(output["minerals"]), strict=True):
+            image[name] = values.ravel(order="F")
+        file = f"ions_{n:03d}.vti"
+        image.save(folder / file)
+        entries.append(f'<DataSet timestep="{time:.9g}" file="{file}"/>')
+    text = (
+        '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n<Collection>\n'
+        + "\n".join(entries)
+        + "\n</Collection>\n</VTKFile>\n"
+    )
+    temporary = folder / f"{SERIES_FILE}.tmp"
+    temporary.write_text(text)
+    os.replace(temporary, folder / SERIES_FILE)
+
+
+# --- numbers ------------------------------------------------------------------------------
+
+
+def ion_numbers(
+    result: CorrosionResult,
+    outputs: list[Output],
+    problem: Degradation,
+    ions: IonSettings,
+    area: float,
+) -> dict[str, object]:
+    """What a report shows of the ions, per output time; area : of the solid, m2."""
+    chemistry = problem.medium.chemistry
+    names = list(chemistry.names)
+    medium = {n: float(c) for n, c in zip(names, problem.medium.concentration[:, 0], strict=True)}
+    rows = []
+    for time, metal, output in zip(result.times, result.metal, outputs, strict=True):
+        scene = problem.scene
+        liquid = scene.domain & ~metal & ~np.isnan(np.asarray(output["ph"]))
+        distance = distance_transform_edt(~metal, sampling=scene.lattice.spacing)
+        ph, species = np.asarray(output["ph"]), np.asarray(output["species"])
+        bins = np.floor(distance[liquid] / max(scene.lattice.spacing) - 0.5).astype(int)
+        near = liquid & (distance <= 1.001 * max(scene.lattice.spacing))
+        count = np.bincount(bins)
+        mean = np.bincount(bins, weights=ph[liquid]) / np.maximum(count, 1)
+        hydrogen = float(output["hydrogen_amount"])
+        rows.append(
+            {
+                "time": float(time),
+                "highest_ph": float(np.nanmax(ph)),
+                "ph_beside_metal": float(ph[near].mean()) if near.any() else None,
+                "profile_um": [1e6 * (b + 1) * max(scene.lattice.spacing) for b in
+                               np.flatnonzero(count)],
+                "profile_ph": [float(v) for v in mean[count > 0]],
+                "beside_metal": {
+                    n: float(values[near].mean())
+                    for n, values in zip(names, species, strict=True)
+                } if near.any() else {},
+                "largest_potential": float(output["largest_potential"]),
+                "balance": float(output["balance"]),
+                "net_charge": float(output["net_charge"]),
+                "lowest": float(output["lowest"]),
+                "hydrogen_mol": hydrogen,
+                "hydrogen_ml_per_cm2": 1e6 * _MOLAR_VOLUME_OF_GAS * hydrogen / (1e4 * area),
+                "minerals": {
+                    m.name: {
+                        "amount_mol": float(output.get(f"{m.name}_amount", 0.0)),
+                        "highest_index": _finite(float(output[f"index_{m.name}"])),
+                    }
+                    for m in chemistry.minerals
+                },
+                "pockets": int(output["pockets"]),
+            }
+        )  # fmt: skip
+    return {
+        "medium": ions.medium,
+        "title": ions.title,
+        "temperature": ions.temperature,
+        "ph": float(problem.medium.ph[0]),
+        "strength": float(problem.medium.strength[0]),
+        "concentrations": medium,
+        "reactions": ions.reactions,
+        "activity": ions.activity,
+        "flux_form": ions.flux_form,
+        "closure": ions.closure,
+        "followed": problem.follows_minerals,
+        "assumed": list(ions.assumed),
+        "rows": rows,
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
