@@ -42,14 +42,15 @@ class Omission:
     """One thing that a scene could leave out.
 
     name : how to refuse it, where OMISSIONS has it.  reason : one sentence.  bound : of the
-    relative error of V_L (infinite where it cannot be left out).  applied : whether the plan
-    leaves it out.
+    relative error of V_L (infinite where it cannot be left out), or of what `of` says.  applied :
+    whether the plan leaves it out.
     """
 
     name: str
     reason: str
     bound: float
     applied: bool
+    of: str = "the volume loss"
 
 
 def liquid_bound(scene: CorrosionScene, problem: BiMaterial | None = None) -> np.ndarray:

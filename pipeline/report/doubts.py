@@ -278,7 +278,8 @@ def omissions(run: RunResults) -> list[dict[str, str]]:
         for entry in entries if isinstance(entries, list) else []:
             if isinstance(entry, dict) and entry.get("applied", True):
                 bound = entry.get("bound")
-                text = f"{percent(bound, 3)} of the volume loss" if _finite(bound) else "not known"
+                measure = str(entry.get("of", "the volume loss"))
+                text = f"{percent(bound, 3)} of {measure}" if _finite(bound) else "not known"
                 name = str(entry.get("name", ""))  # as --keep wants it
                 reason = str(entry.get("reason", ""))
                 found.append({"alloy": alloy.name, "what": name, "reason": reason, "bound": text})

@@ -196,6 +196,25 @@ def load_plot(alloy: AlloyResult, name: str, most: float, names: LoadNames = LOA
     return _svg(figure, f"curves-{name}", title)
 
 
+def ph_plot(alloy: str, name: str, rows: Sequence[Mapping], medium: float) -> str:
+    """Mean pH against the distance from the metal, one curve per immersion time, as SVG.
+
+    rows: per time `time` (s), `profile_um` and `profile_ph`; medium: its pH, dotted.
+    """
+    figure, axes = _figure()
+    for n, row in enumerate(rows):
+        shade = _RAMP[round(n * (TIME_RAMP - 1) / max(1, len(rows) - 1))]
+        second, unit = time_axis(max(row["time"], 1.0))
+        label = f"{row['time'] / second:.3g} {unit}" if row["time"] else "start"
+        axes.plot(row["profile_um"], row["profile_ph"], color=shade, lw=1.8, label=label)
+    axes.axhline(medium, color=_INK, lw=1.0, ls=":")
+    axes.set_xlabel("Distance from the metal (µm)")
+    axes.set_ylabel("pH")
+    axes.set_xlim(left=0)
+    _finish(axes, zero=False, legend="upper right")
+    return _svg(figure, f"ph-{name}", f"pH against the distance from the metal, {alloy}")
+
+
 def _capital(text: str) -> str:
     return text[:1].upper() + text[1:]
 

@@ -26,6 +26,7 @@ from pipeline.record.machine import describe_machine, package_versions
 from pipeline.record.run_folder import REPORT_FILE, write_text
 from pipeline.record.run_results import AlloyResult, ImmersionResult, RunResults, read_run
 from pipeline.report import doubts, plots, provenance
+from pipeline.report.ions import ion_section
 from pipeline.report.picture_set import PictureSet, make_pictures, times_shown
 from pipeline.report.pictures import DAMAGE_COLOURS, MAXIMUM_DAMAGE, write_overview
 from pipeline.report.wording import duration, gathered, headline, percent, status_in_words
@@ -110,6 +111,7 @@ def write_report(run_folder: Path | str) -> Path:
         in_short=doubts.in_short(run, len(assumed)),
         twice_as_sure=doubts.twice_as_sure(run),
         omissions=doubts.omissions(run),
+        ions=ion_section(run),
         alloys=names,
         assumed_count=len(assumed),
         assumptions=provenance.side_by_side(assumed, names),

@@ -165,16 +165,15 @@ def march_omissions(scene: Scene, solid: Solid) -> list[tuple[str, Omission]]:
     lattice, domain = domain_lattice(scene, liquid_domain(scene, solid.points))
     metal, fraction = metal_of(scene, lattice, solid)
     end = max(time.seconds for time in scene.immersion)
-    return [
-        (alloy.name, omission)
-        for alloy in scene.alloys
-        for omission in plan_omissions(
-            corrosion_scene(scene, alloy.name, lattice, domain, metal, fraction),
-            end,
-            scene.corrosion.tolerance,
-            scene.corrosion.keep,
-        )
-    ]
+    found = []
+    for alloy in scene.alloys:
+        corrosion = corrosion_scene(scene, alloy.name, lattice, domain, metal, fraction)
+        tolerance, keep = scene.corrosion.tolerance, scene.corrosion.keep
+        omissions = plan_omissions(corrosion, end, tolerance, keep)
+        if scene.ions is not None:
+            omissions = [*omissions, *ion_stage.plan_ions(corrosion, scene.ions)]
+        found += [(alloy.name, omission) for omission in omissions]
+    return found
 
 
 def corrode_in_folder(

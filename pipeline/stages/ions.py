@@ -157,6 +157,11 @@ def _afterwards(problem: Degradation, result: CorrosionResult) -> list[Output]:
     return outputs
 
 
+def plan_ions(corrosion: CorrosionScene, ions: IonSettings) -> list[Omission]:
+    """What a march with these ions would leave out; solves for the first release."""
+    return ion_omissions(Degradation(corrosion, medium_of(ions), options_of(ions)))
+
+
 def ion_omissions(problem: Degradation) -> list[Omission]:
     """What of the liquid is not computed, and what that changes."""
     around, options = problem.surroundings, problem.options
@@ -169,6 +174,7 @@ def ion_omissions(problem: Degradation) -> list[Omission]:
             "the rest of a dissolved metal node is not handed to the ions",
             share,
             True,
+            "what dissolves",
         )
     )
     width = float(
@@ -183,6 +189,7 @@ def ion_omissions(problem: Degradation) -> list[Omission]:
             "is of its content for a release that halves in a day",
             relaxation / 86400.0,
             True,
+            "the release's change",
         )
     )
     if not problem.follows_minerals:
@@ -194,6 +201,7 @@ def ion_omissions(problem: Degradation) -> list[Omission]:
                 f"({names}); the liquid is computed at the output times only",
                 0.0,
                 True,
+                "the minerals",
             )
         )
     if options.closure == "none":
@@ -206,6 +214,7 @@ def ion_omissions(problem: Degradation) -> list[Omission]:
                 "takes up the charge that diffusion separates",
                 3.0 * bound / around.liquid.thermal_voltage,
                 True,
+                "a trivalent ion's amount",
             )
         )
     return found

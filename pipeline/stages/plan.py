@@ -67,13 +67,18 @@ class Cost:
     """Measured on two cores at 2.6 GHz: what a plan multiplies its counts with.
 
     corrosion: seconds and bytes per node and march; tensile: seconds per unknown and increment, and
-    bytes per unknown of one process; mesh: seconds per cell; disk: bytes per node and time.
+    bytes per unknown of one process; ions: seconds per node and solution of the liquid, bytes per
+    node and field, solutions of a march that follows minerals; mesh: seconds per cell; disk: bytes
+    per node and time.
     """
 
     corrosion_seconds_per_node: float = 1.1e-4
     corrosion_bytes_per_node: float = 600.0
     tensile_seconds_per_unknown: float = 2.5e-5
     tensile_bytes_per_unknown: float = 1.0e4
+    ion_seconds_per_node: float = 5.0e-5
+    ion_bytes_per_field: float = 100.0
+    ion_solutions: int = 60
     mesh_seconds_per_cell: float = 5.0e-5
     solid_seconds: float = 5.0
     map_seconds_per_cell: float = 2.0e-5
@@ -119,15 +124,17 @@ def make_plan(
         )
     ]
     labels = ", ".join(time.label for time in times)
+    ion_seconds, ion_bytes, ion_disk = _ion_cost(scene, len(times))
     for alloy in scene.alloys:
         tasks.append(
             Task(
                 "corrode",
                 alloy.name,
-                f"{nodes:,} nodes ({metal:,} metal), {bonds} bonds each, {labels}",
-                COST.corrosion_seconds_per_node * nodes,
-                BASE_MEMORY + COST.corrosion_bytes_per_node * nodes,
-                COST.disk_bytes_per_node * nodes * len(times),
+                f"{nodes:,} nodes ({metal:,} metal), {bonds} bonds each, {labels}"
+                + _ions_in_words(scene),
+                (COST.corrosion_seconds_per_node + ion_seconds) * nodes,
+                BASE_MEMORY + (COST.corrosion_bytes_per_node + ion_bytes) * nodes,
+                (COST.disk_bytes_per_node + ion_disk) * nodes * len(times),
             )
         )
     tasks.append(
@@ -163,6 +170,25 @@ def make_plan(
         memory=max(task.memory for task in tasks),
         disk=sum(task.disk for task in tasks),
     )
+
+
+def _ion_cost(scene: Scene, times: int) -> tuple[float, float, float]:
+    """Seconds and bytes per node of the ions' part of a march, bytes on disk per node and time."""
+    if scene.ions is None:
+        return 0.0, 0.0, 0.0
+    fields = len(scene.ions.chemistry["charge_number"]) + len(scene.ions.minerals) + 2
+    stored = 4.0 * fields  # one number of 4 bytes per field and output time
+    memory = COST.ion_bytes_per_field * fields + stored * times
+    solutions = times if not scene.ions.minerals else COST.ion_solutions
+    return COST.ion_seconds_per_node * solutions, memory, 2.0 * stored
+
+
+def _ions_in_words(scene: Scene) -> str:
+    if scene.ions is None:
+        return ""
+    species = len(scene.ions.chemistry["charge_number"])
+    minerals = ", ".join(scene.ions.minerals) or "no minerals"
+    return f"; {species} species of {scene.ions.medium}, {minerals}"
 
 
 def check_sizes(scene: Scene, solid: Solid) -> None:
@@ -286,7 +312,8 @@ def _march_omissions(scene: Scene, solid: Solid) -> list[Omission]:
     found = []
     for alloy, omission in march_omissions(scene, solid):
         if omission.applied:
-            text = f"at most {100 * omission.bound:.2g} % of V_L"
+            measure = "V_L" if omission.of == "the volume loss" else omission.of
+            text = f"at most {100 * omission.bound:.2g} % of {measure}"
         elif np.isfinite(omission.bound):
             text = f"kept; leaving it out would cost up to {100 * omission.bound:.2g} % of V_L"
         else:
