@@ -52,6 +52,36 @@ class RateClasses:
 
 
 @dataclass(frozen=True)
+class CellExposure:
+    """What a corrosion scene knows of its surface.
+
+    metal : classes of the metal.  liquid : lattice array, mean exposure of each cell's liquid.
+    inside, held : lattice arrays, the shares of each cell that lie in the domain and that are
+    held at zero concentration (within the horizon of its edge); by nodes where left out.
+    """
+
+    metal: RateClasses
+    liquid: NDArray[np.float64]
+    inside: NDArray[np.float64] | None = None
+    held: NDArray[np.float64] | None = None
+
+
+def cell_exposure(
+    lattice: Lattice,
+    surface: Surface,
+    horizon: float,
+    fraction: NDArray[np.float64],
+    classes: int = CLASSES,
+    **kernel: float | str | None,
+) -> CellExposure:
+    """Both sides of a surface on a lattice; arguments and errors of `rate_classes`."""
+    return CellExposure(
+        rate_classes(lattice, surface, horizon, fraction, classes, **kernel),
+        liquid_exposure(lattice, surface, horizon, fraction, **kernel),
+    )
+
+
+@dataclass(frozen=True)
 class Samples:
     """Sampled metal (or liquid) of cells: rows of the arrays are cells, unused entries have v = 0.
 

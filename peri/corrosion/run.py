@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from peri.corrosion.cell_problem import CellProblem
 from peri.corrosion.problem import COLUMNS, CorrosionProblem
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.marching import TimeStepping, check_times, march
@@ -80,8 +81,7 @@ def corrode(
     """
     stepping = stepping or TimeStepping()
     check_times(times)
-    problem = CorrosionProblem(scene, solver_tolerance, processes)
-    _check_scheme(problem, stepping)
+    problem = _problem(scene, stepping, solver_tolerance, processes)
     done = march(
         problem,
         times,
@@ -98,6 +98,25 @@ def corrode(
     return CorrosionResult(
         scene, done.times, concentration, metal, loss, done.history, done.wall_time
     )
+
+
+def _problem(
+    scene: CorrosionScene | None,
+    stepping: TimeStepping,
+    solver_tolerance: float,
+    processes: OneProcess,
+) -> CorrosionProblem | CellProblem:
+    """The discrete problem of a scene: by nodes, or by rate classes where it has them."""
+    classes = processes.from_root(processes.on_root(lambda: scene.exposure is not None))
+    if not classes:
+        problem = CorrosionProblem(scene, solver_tolerance, processes)
+        _check_scheme(problem, stepping)
+        return problem
+    if not processes.whole:
+        raise ValueError("exposure: rate classes are computed in one process, not on ranks")
+    if stepping.scheme == "forward_euler":
+        raise ValueError("scheme: 'forward_euler' with rate classes; use backward_euler or sdirk2")
+    return CellProblem(scene, solver_tolerance)
 
 
 def _check_scheme(problem: CorrosionProblem, stepping: TimeStepping) -> None:

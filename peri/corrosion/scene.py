@@ -5,13 +5,17 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from peri.corrosion.kinetics import QUANTITIES, ConstantRate, Kinetics
 from peri.engine.cells import hand_over
-from peri.engine.influence import Stencil, diffusion_stencil
+from peri.engine.influence import Stencil, closed_strength, diffusion_stencil
 from peri.engine.lattice import Lattice
+
+if TYPE_CHECKING:
+    from peri.corrosion.rate_classes import CellExposure
 
 BOUNDARIES = ("refreshed", "no_flux")
 FLUX_CALIBRATIONS = ("isotropic", "axis")
@@ -59,6 +63,10 @@ class CorrosionScene:
     kernel_exponent, influence, calibration :
         See influence.diffusion_stencil.
     saturation : {"complementarity", "as_published", "none"}
+    exposure : rate_classes.CellExposure, optional
+        Rate classes of the cells, for a solid whose surface is known: metal and liquid then share
+        the cut cells (cells.py), and rates are those of the surface, whatever the lattice.
+        Without it a node has one phase and one rate.
 
     Raises
     ------
@@ -84,6 +92,7 @@ class CorrosionScene:
     influence: str = "constant"
     calibration: str = "discrete"
     saturation: str = "complementarity"
+    exposure: CellExposure | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         shape = self.lattice.shape
@@ -131,7 +140,29 @@ class CorrosionScene:
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value >= 0):
                 raise ValueError(f"{name}: {value}; it must be finite and not negative")
+        if self.exposure is not None:
+            self._check_exposure()
         object.__setattr__(self, "_stencil", self._make_stencil())
+
+    def _check_exposure(self) -> None:
+        """Rate classes are derived for one law so far; the others are refused by name."""
+        for name, allowed in (("dissolution", "proportional"), ("saturation", "complementarity")):
+            if getattr(self, name) != allowed:
+                raise ValueError(
+                    f"{name}: {getattr(self, name)!r} with rate classes; allowed: {allowed}"
+                )
+        if not self.kinetics.is_global:
+            raise ValueError(
+                f"kinetics: {type(self.kinetics).__name__} gives one rate per node; rate classes "
+                "need one of the volume loss alone"
+            )
+        if np.ndim(self.horizon) != 0 or self.exposure.metal.fraction.shape != self.lattice.shape:
+            raise ValueError(
+                f"exposure: classes of a lattice {self.exposure.metal.fraction.shape} and one "
+                f"horizon; the scene has {self.lattice.shape} and {self.horizon} m"
+            )
+        if np.any((self.exposure.metal.fraction > 0) & ~self.domain):
+            raise ValueError("exposure: metal must lie inside the domain")
 
     def _make_stencil(self) -> Stencil:
         return diffusion_stencil(
@@ -147,6 +178,9 @@ class CorrosionScene:
         """D_int at zero volume loss, m^2/s, given or derived from the dissolution flux."""
         if self.interface_diffusivity is not None:
             return self.interface_diffusivity
+        if self.exposure is not None:
+            strength = closed_strength(self.horizon, self.kernel_exponent, self.influence)
+            return self.dissolution_flux / (self.solid_concentration * strength)
         return self.dissolution_flux / (
             self.solid_concentration * front_strength(self.stencil, self.flux_calibration)
         )

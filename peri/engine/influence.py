@@ -41,6 +41,22 @@ def closed_constant(
     return 2.0 / (surface_per_axis * radial * np.asarray(horizon, float) ** (2.0 - 2.0 * q))
 
 
+def closed_strength(horizon: float, kernel_exponent: float, influence: str) -> float:
+    """Front strength of the continuous kernel in 3D, 1/m: 3/delta for q = 0, omega = 1.
+
+    The flux through a flat front for unit diffusivity and unit difference, pi K int_0^delta omega
+    r^(-2q) dr, finite for q < 1/2 (ValueError beyond).
+    """
+    q = kernel_exponent
+    if not q < 0.5:
+        raise ValueError(f"kernel_exponent: {q}; a front's strength is finite below 1/2 only")
+    radial = 1.0 / (1.0 - 2.0 * q)
+    if influence == "linear":
+        radial -= 1.0 / (2.0 - 2.0 * q)
+    constant = float(closed_constant(3, horizon, q, influence))
+    return float(np.pi * constant * radial * horizon ** (1.0 - 2.0 * q))
+
+
 @dataclass(frozen=True)
 class Stencil:
     """Bond weights of the nonlocal diffusion operator of unit diffusivity.

@@ -25,6 +25,7 @@ from numpy.polynomial import legendre
 from numpy.typing import ArrayLike, NDArray
 
 from peri.corrosion.bimaterial import BiMaterial
+from peri.corrosion.cells import class_bond_sums
 from peri.corrosion.kinetics import Exposed, Kinetics
 from peri.corrosion.scene import CorrosionScene
 
@@ -129,6 +130,9 @@ class ReducedCorrosion:
         """
         refuse_other_laws(scene)
         solid, saturated = scene.solid_concentration, scene.saturation_concentration
+        if scene.exposure is not None:
+            metal = scene.exposure.metal
+            return cls(class_bond_sums(scene), metal.volume, solid / (solid - saturated))
         sums = (problem or BiMaterial(scene)).metal_bond_sums()[scene.metal]
         return cls(sums, scene.capacity()[scene.metal], solid / (solid - saturated))
 

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from peri.corrosion.bimaterial import BiMaterial
+from peri.corrosion.cells import class_bond_sums
 from peri.corrosion.kinetics import Exposed
 from peri.corrosion.run import HISTORY, CorrosionResult
 from peri.corrosion.scene import CorrosionScene
@@ -46,19 +47,23 @@ def well_stirred(
     """
     started = clock.perf_counter()
     times = np.asarray(times, float)
-    problem = problem or BiMaterial(scene)
+    if scene.exposure is None:
+        problem = problem or BiMaterial(scene)
     reduced = ReducedCorrosion.of(scene, problem)
     moments = np.union1d(np.linspace(0.0, times[-1], 101), times)
-    diffusivity = problem.base_diffusivity
+    diffusivity = scene.base_interface_diffusivity()
     found = reduced.volume_loss(moments, diffusivity, factor_of(scene.kinetics))
     asked = np.searchsorted(moments, times)
     solid, saturated = scene.solid_concentration, scene.saturation_concentration
-    sums = problem.metal_bond_sums()[scene.metal]
-    concentration = np.zeros((times.size, *scene.lattice.shape))
-    for n, exposure in enumerate(found.exposure[asked]):
-        concentration[n][scene.metal] = solid * np.exp(-sums * exposure)
-    metal = concentration >= saturated
-    volume = scene.lattice.cell_volume * float(scene.capacity()[scene.metal].sum())
+    share = np.array([_share_left(scene, problem, z) for z in found.exposure[asked]])
+    metal = solid * share >= saturated
+    if scene.exposure is None:
+        volume = float(scene.capacity()[scene.metal].sum())
+    else:
+        volume = float(scene.exposure.metal.volume.sum())
+        metal &= scene.exposure.metal.fraction > 0
+    volume *= scene.lattice.cell_volume
+    concentration = solid * share
     released = volume * solid * reduced.dissolved_at(found.exposure)
     history = {name: np.zeros(moments.size) for name in HISTORY}
     history.update(
@@ -72,6 +77,19 @@ def well_stirred(
         scene, times, concentration, metal, found.value[asked], history,
         clock.perf_counter() - started,
     )  # fmt: skip
+
+
+def _share_left(scene: CorrosionScene, problem: BiMaterial | None, z: float) -> np.ndarray:
+    """C / C_solid of each node's metal at an exposure z = int D_int g dt (m^2), on the lattice."""
+    out = np.zeros(scene.lattice.shape)
+    if scene.exposure is None:
+        sums = problem.metal_bond_sums()[scene.metal]
+        out[scene.metal] = np.exp(-sums * z)
+        return out
+    metal = scene.exposure.metal
+    left = metal.volume * np.exp(-class_bond_sums(scene) * z)
+    mean = np.bincount(metal.cell, left, out.size).reshape(out.shape)
+    return np.divide(mean, metal.fraction, out=out, where=metal.fraction > 0)
 
 
 def clean_march(
