@@ -13,6 +13,7 @@ from pathlib import Path
 from perilife_data import did_you_mean
 from pipeline.benches import calibration as bench_calibration
 from pipeline.benches import corrosion as bench_corrosion
+from pipeline.benches import localised as bench_localised
 from pipeline.benches import operators as bench_operators
 from pipeline.benches import tensile as bench_tensile
 from pipeline.benches.result import Result
@@ -148,6 +149,11 @@ BENCHMARKS: dict[str, Benchmark] = {
         "explicit and implicit pitting on 128 x 128 x 64 nodes",
         bench_corrosion.pitting_step,
         bench_corrosion.small_pitting,
+    ),
+    "bond-damage": Benchmark(
+        "stochastic damage of the bonds of 1e6 nodes, m = 4",
+        bench_localised.bond_damage,
+        bench_localised.small_bond_damage,
     ),
     "tensile": Benchmark(
         "constitutive update, assembly, one quick pull of the screw after 8 weeks (a minute)",
