@@ -22,12 +22,21 @@ Triple = tuple[int, ...]
 _THREADED_FROM = 150_000
 
 
-def by_size(function: Callable | None = None, *, fastmath: bool | set[str] = False) -> Callable:
-    """Compile a loop twice, serial and threaded, and choose by the size of its first array."""
+def by_size(
+    function: Callable | None = None,
+    *,
+    fastmath: bool | set[str] = False,
+    error_model: str = "python",
+) -> Callable:
+    """Compile a loop twice, serial and threaded, and choose by the size of its first array.
+
+    error_model "numpy": a division by zero gives infinity, and loops with divisions vectorise.
+    """
     if function is None:
-        return lambda f: by_size(f, fastmath=fastmath)
-    serial = njit(cache=True, fastmath=fastmath)(_named(function, "serial"))
-    threaded = njit(cache=True, parallel=True, fastmath=fastmath)(function)
+        return lambda f: by_size(f, fastmath=fastmath, error_model=error_model)
+    options: dict[str, Any] = {"cache": True, "fastmath": fastmath, "error_model": error_model}
+    serial = njit(**options)(_named(function, "serial"))
+    threaded = njit(parallel=True, **options)(function)
 
     @functools.wraps(function)
     def choose(first: Array, *rest: Any) -> Any:

@@ -288,7 +288,9 @@ class Convolution(Operator):
         sink = self.diagonal() - self.coefficient * self._middle * self.sum(self._middle)
         on = self.unknown > 0
         scale = np.where(on, self._middle, 1.0) / np.where(on, self.left, 1.0)
-        if on.any() and scale[on].max() > LARGEST_SCALE * scale[on].min():
+        largest = self.sum.processes.largest
+        ratio = largest(scale[on].max(initial=0.0)) * largest((1.0 / scale[on]).max(initial=0.0))
+        if ratio > LARGEST_SCALE:
             return super().local()
         sink = np.maximum((sink * self.unknown)[self.sum.interior], 0.0)
         return LocalCoefficients(sink, self.faces(), scale)

@@ -44,7 +44,7 @@ class OneProcess:
         """A padded field with the neighbours' values in its ghosts.
 
         window: the part of the block that `values` covers (None: all of it); nodes outside
-        every process's window count as zero.
+        every process's window count as zero.  The array is good until the next exchange.
         """
         return values
 

@@ -14,7 +14,7 @@ from numba import njit, prange
 from peri.engine.kernels import CONTRACT, Array, Triple, by_size
 
 
-@by_size(fastmath=CONTRACT)
+@by_size(fastmath=CONTRACT, error_model="numpy")
 def harmonic_gain(
     u: Array,
     out: Array,
@@ -26,7 +26,7 @@ def harmonic_gain(
     offsets: Array,
     weights: Array,
 ) -> None:
-    """out_i = sum_o w_o 2 / (r_i + r_{i+o}) u_{i+o} over the rows' ranges; r may be infinite."""
+    """out_i = sum_o w_o 2 / (r_i + r_{i+o}) u_{i+o} over the rows' ranges; 0 < r <= infinity."""
     ra, rb, rc = reach
     for t in prange(tiles.shape[0]):
         i = tiles[t, 0]

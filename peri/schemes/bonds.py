@@ -97,15 +97,17 @@ def square_root_fluxes(
     ValueError
         If s spans more than 600 over the nodes.
     """
-    up, down = _half_factors(drift, there)
+    up, down = _half_factors(bond_sum, drift, there)
     # l_i d_i = coefficient exp(s_i/2) sum_j w_ij exp(-s_j/2), with l_i = exp(-s_i/2)
     diagonal = coefficient * up**2 * bond_sum(down)
     return Convolution(bond_sum, unknown * down, up, diagonal, coefficient)
 
 
-def _half_factors(drift: np.ndarray, there: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _half_factors(
+    bond_sum: NonlocalSum, drift: np.ndarray, there: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """exp(s/2) and exp(-s/2) on the nodes that exist, s from the middle of its range."""
-    spread, level = _centred(drift, there)
+    spread, level = _centred(bond_sum, drift, there)
     if not spread <= _LARGEST_RANGE:
         raise ValueError(
             f"drift: spans {spread:.4g} over the nodes; at most {_LARGEST_RANGE:g} are allowed "
@@ -115,10 +117,16 @@ def _half_factors(drift: np.ndarray, there: np.ndarray) -> tuple[np.ndarray, np.
     return np.where(on, np.exp(0.5 * level), 0.0), np.where(on, np.exp(-0.5 * level), 0.0)
 
 
-def _centred(drift: np.ndarray, there: np.ndarray) -> tuple[float, np.ndarray]:
+def _centred(
+    bond_sum: NonlocalSum, drift: np.ndarray, there: np.ndarray
+) -> tuple[float, np.ndarray]:
     """Range of s over the nodes that exist, and s minus the middle of it (0 elsewhere)."""
     values = drift[there > 0]
-    low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 0.0)
+    largest = bond_sum.processes.largest
+    high = largest(float(values.max(initial=-np.inf)))
+    low = -largest(float((-values).max(initial=-np.inf)))
+    if high < low:
+        return 0.0, np.zeros_like(drift)
     return high - low, np.where(there > 0, drift - 0.5 * (low + high), 0.0)
 
 
@@ -160,7 +168,8 @@ class BondConductance(Operator):
         if isinstance(bond_sum, BrokenSum) and not stored:
             raise ValueError("stored: False; with broken bonds the values of bonds must be stored")
         self.there, self.coefficient = there, coefficient
-        self._field = bond_sum.processes.with_ghosts(field, bond_sum.window)
+        self.sum = bond_sum
+        self._field = self._neighbours_field(field)
         self._offsets, self._weights = signed_bonds(bond_sum)
         super().__init__(bond_sum, unknown * there, np.zeros(bond_sum.padded_shape), symmetric)
         self._table: BondTable | None = None
@@ -185,6 +194,9 @@ class BondConductance(Operator):
         self._sum_bonds(self._filled(self.there * u), out)
         out *= self.coefficient * self.unknown
         return out
+
+    def _neighbours_field(self, field: np.ndarray) -> np.ndarray:
+        return self._filled(field).copy()  # the next exchange may use the same memory
 
     def _filled(self, u: np.ndarray) -> np.ndarray:
         return self.sum.processes.with_ghosts(u, self.sum.window)
@@ -234,6 +246,11 @@ class Harmonic(BondConductance):
         super().__init__(
             bond_sum, resistance, on.astype(float), unknown, coefficient, stored, symmetric=True
         )
+
+    def _neighbours_field(self, field: np.ndarray) -> np.ndarray:
+        # Beyond the lattice's ends an exchange leaves zeros.
+        filled = super()._neighbours_field(field)
+        return np.where(filled > 0, filled, np.inf)
 
     def rule(self, here: np.ndarray, near: np.ndarray) -> np.ndarray:
         return 2.0 / (here + near)
@@ -323,7 +340,7 @@ class Exponential(BondConductance):
 
     def local(self) -> LocalCoefficients:
         on = self.unknown > 0
-        spread, level = _centred(self._field, self.unknown)
+        spread, level = _centred(self.sum, self._field, self.unknown)
         if spread > 2.0 * np.log(LARGEST_SCALE):
             return super().local()
         scale = np.where(on, np.exp(0.5 * level), 1.0)

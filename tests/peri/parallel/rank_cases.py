@@ -15,7 +15,14 @@ from peri.engine.lattice import ball, box_lattice, cylinder
 from peri.engine.marching import TimeStepping
 from peri.engine.operators import NonlocalSum
 from peri.engine.processes import ONE_PROCESS
-from peri.engine.solvers import DiffusionSystem
+from peri.engine.solvers import DiffusionSystem, LinearSystem
+from peri.schemes.bonds import (
+    Exponential,
+    Harmonic,
+    geometric_conductances,
+    mean_conductances,
+    square_root_fluxes,
+)
 
 DAY = 86400.0
 SOLVER_TOLERANCE = 1e-10
@@ -77,6 +84,34 @@ def diffusion_system(scene, processes=ONE_PROCESS, stiffness=1.0):
     return DiffusionSystem(bond_sum, weight, diagonal, 1.0, sink), weight * bond_sum.pad(rough)
 
 
+OPERATORS = {
+    "mean": lambda s, kappa, drift, on, here: mean_conductances(s, kappa, on),
+    "geometric": lambda s, kappa, drift, on, here: geometric_conductances(s, kappa, on),
+    "harmonic": lambda s, kappa, drift, on, here: Harmonic(s, kappa, on),
+    "square root": lambda s, kappa, drift, on, here: square_root_fluxes(s, drift, here, on),
+    "exponential": lambda s, kappa, drift, on, here: Exponential(s, drift, here, on),
+    "exponential, on the fly": lambda s, kappa, drift, on, here: Exponential(
+        s, drift, here, on, stored=False
+    ),
+}
+
+
+def bond_system(name, scene, processes=ONE_PROCESS):
+    """A steady system of one kind of bond in the scene's liquid, and a right side."""
+    local = block_scene(scene, processes)
+    shape = local.lattice.shape
+    bond_sum = NonlocalSum(local.stencil, shape, wanted=local.domain, processes=processes)
+    pad = bond_sum.pad
+    here = pad(local.domain & ~local.metal)
+    unknown = pad(local.domain & ~local.metal & ~local.refreshed())
+    x, y, z = (1e3 * c for c in local.lattice.coordinates())
+    kappa = here * pad(np.exp(np.sin(3 * x) + y + 0 * z))
+    drift = here * pad(4 * x + np.cos(5 * y) + 0 * z)
+    operator = OPERATORS[name](bond_sum, kappa, drift, unknown, here)
+    rough = np.broadcast_to(np.sin(50 * x) + np.sin(70 * y) + np.sin(90 * z), shape)
+    return LinearSystem(operator), unknown * pad(rough)
+
+
 def solve(system, right, processes=ONE_PROCESS):
     """Solution on the lattice and the iterations that it took."""
     x = np.zeros_like(right)
@@ -109,6 +144,12 @@ def main(path: str) -> None:
         x, count = solve(*diffusion_system(scene, ranks, stiffness), ranks)
         ranks.close()
         out[f"diffusion/{stiffness:g}"], out[f"diffusion/{stiffness:g}/iterations"] = x, count
+    for name in OPERATORS:
+        scene = ball_scene()
+        ranks = Ranks(comm, scene.stencil, scene.domain)
+        x, count = solve(*bond_system(name, scene, ranks), ranks)
+        ranks.close()
+        out[f"bonds/{name}"], out[f"bonds/{name}/iterations"] = x, count
     # A march that rank 0 stops after two steps leaves a checkpoint.
     make, times, stepping = MARCHES["line"]
     calls = []

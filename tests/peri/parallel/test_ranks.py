@@ -110,6 +110,21 @@ def test_diffusion_system_on_ranks(stiffness, on_ranks):
 
 
 @needs_mpirun
+@pytest.mark.parametrize("name", rank_cases.OPERATORS)
+def test_bonds_of_all_kinds_on_ranks(name, on_ranks):
+    """One linear system of each kind of bond, symmetric or not, as in one process."""
+    scene = rank_cases.ball_scene()
+    expected, alone = rank_cases.solve(*rank_cases.bond_system(name, scene))
+    assert np.abs(expected).max() > 0
+    for ranks in RANKS:
+        arrays = on_ranks(ranks)[0]
+        x, count = arrays[f"bonds/{name}"], arrays[f"bonds/{name}/iterations"]
+        # relative residual 1e-10
+        np.testing.assert_allclose(x, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
+        assert 3 <= count <= alone + 4
+
+
+@needs_mpirun
 def test_checkpoint_of_two_ranks_resumes_in_one_process(on_ranks, embedded):
     arrays, checkpoint = on_ranks(2)
     # What rank 0 raised in its third report reached rank 1, which reports nothing.
