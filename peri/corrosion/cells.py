@@ -85,7 +85,7 @@ class Cells:
         self.initial_volume = exposed.metal.volume
         self.initial_bond_sum = class_bond_sums(scene)
         self.liquid_bond_sum = self.sum.pad(_constant(scene) * exposed.liquid)
-        inside = scene.domain if exposed.inside is None else exposed.inside
+        inside = scene.domain if exposed.inside is None else exposed.inside * scene.domain
         held = scene.refreshed() if exposed.held is None else exposed.held
         share = self.sum.pad(inside) - self.sum.pad(exposed.metal.fraction)
         self.held_share = np.clip(np.minimum(self.sum.pad(held), share), 0.0, 1.0)
@@ -176,6 +176,22 @@ class Cells:
         seen = self.mu > 0
         flux = self.volume * self.bond_sum
         return float(flux[~seen].sum() / flux.sum()) if flux.any() else 0.0
+
+    def steady_bound(self) -> Array | None:
+        """The liquid's steady state under the classes' first inflow, mol/m^3, on the lattice.
+
+        It bounds the liquid's concentration at every time where the kinetics never speeds up;
+        None where no liquid is held.
+        """
+        if not self.held_share.any():
+            return None
+        d, rate = self.scene.liquid_diffusivity, self.rate(0.0)
+        inflow = self.free_share * self.pull * rate * self.scene.solid_concentration
+        sink = self.free_share * d * self.sum(self.held_share)
+        system = DiffusionSystem(self.sum, self.free_share, d * self.neighbour_share, d, sink)
+        steady = np.zeros(self.sum.padded_shape)
+        system.solve(steady, inflow.copy(), 1e-8 * float(np.linalg.norm(inflow)))
+        return np.maximum(self.sum.crop(steady), 0.0)
 
     # --- measures -------------------------------------------------------------------------
 

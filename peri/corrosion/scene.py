@@ -161,8 +161,11 @@ class CorrosionScene:
                 f"exposure: classes of a lattice {self.exposure.metal.fraction.shape} and one "
                 f"horizon; the scene has {self.lattice.shape} and {self.horizon} m"
             )
-        if np.any((self.exposure.metal.fraction > 0) & ~self.domain):
-            raise ValueError("exposure: metal must lie inside the domain")
+        if not np.array_equal(self.exposure.metal.fraction > 0, self.metal):
+            raise ValueError(
+                "metal: with rate classes it must be the cells that hold metal, "
+                "exposure.metal.fraction > 0"
+            )
 
     def _make_stencil(self) -> Stencil:
         return diffusion_stencil(
@@ -214,6 +217,9 @@ class CorrosionScene:
         return out
 
     def _make_capacity(self) -> np.ndarray:
+        if self.exposure is not None:
+            fraction = self.exposure.metal.fraction
+            return np.where(self.metal, fraction, np.where(self.domain, 1.0 - fraction, 0.0))
         if self.metal_fraction is None:
             return self.domain.astype(float)
         metal, liquid = self.metal, self.domain & ~self.metal

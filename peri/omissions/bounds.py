@@ -9,6 +9,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.optimize import minimize_scalar
 
 from peri.corrosion.bimaterial import BiMaterial
+from peri.corrosion.cells import Cells
 from peri.corrosion.kinetics import Exposed
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.cells import around
@@ -76,26 +77,34 @@ def arrival_bound(scene: CorrosionScene, distance: float, end_time: float) -> fl
     return min(1.0, share)
 
 
-def least_loss(scene: CorrosionScene, end_time: float, problem: BiMaterial | None = None) -> float:
+def least_loss(
+    scene: CorrosionScene, end_time: float, problem: BiMaterial | Cells | None = None
+) -> float:
     """A lower bound of V_L(end_time), from the first moments.
 
     While the fullest liquid node stays below C_sat / 2 every bond carries at least half its
     first flux; V_L does not fall afterwards.  `problem`: the scene's, where the caller has it.
     """
-    problem = problem or BiMaterial(scene)
-    rate = problem.base_diffusivity * scene.kinetics.rate(Exposed(0.0))
-    if problem.box is None or rate == 0:
-        return 0.0
-    rates = problem.metal_rates()[scene.metal] * scene.kinetics.rate(Exposed(0.0))
+    first_rate = scene.kinetics.rate(Exposed(0.0))
+    if isinstance(problem, Cells):
+        rates, volumes = problem.rate(0.0) * problem.bond_sum, problem.volume
+        strongest = problem.rate(0.0) * float(problem.pull.max(initial=0.0))
+    else:
+        problem = problem or BiMaterial(scene)
+        rate = problem.base_diffusivity * first_rate
+        if problem.box is None or rate == 0:
+            return 0.0
+        rates, volumes = problem.metal_rates()[scene.metal], scene.capacity()[scene.metal]
+        rates = rates * first_rate
+        seen = problem.box(problem.box_metal_volume)
+        strongest = rate * float(seen[problem.box_liquid_volume > 0].max())
     if not rates.max(initial=0.0) > 0:
         return 0.0
-    seen = problem.box(problem.box_metal_volume)
-    inflow = rate * scene.solid_concentration * float(seen[problem.box_liquid_volume > 0].max())
+    inflow = strongest * scene.solid_concentration
     time = min(end_time, 0.5 * scene.saturation_concentration / inflow)
-    volumes = scene.capacity()[scene.metal]
     first = time * float(volumes @ rates) / float(volumes.sum())
     # The metal's own loss and the kinetics weaken the flux further, by less than a half if tiny.
     later = scene.kinetics.rate(Exposed(min(1.0, 2.0 * first)))
-    steepest = later / scene.kinetics.rate(Exposed(0.0))
+    steepest = later / first_rate
     left = max(0.0, 0.5 - time * float(rates.max())) * steepest
     return first * left

@@ -17,12 +17,14 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from peri.corrosion.bimaterial import BiMaterial
+from peri.corrosion.cells import Cells, class_bond_sums
 from peri.corrosion.kinetics import Exposed
 from peri.corrosion.run import CorrosionResult, corrode
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.marching import TimeStepping
 from peri.engine.solvers import ConvergenceError, DiffusionSystem
 from peri.omissions.bounds import arrival_bound, front_depth, least_loss, metal_at_risk
+from peri.omissions.reduced import ReducedCorrosion, factor_of
 from peri.omissions.well_stirred import well_stirred
 
 log = logging.getLogger(__name__)
@@ -35,6 +37,13 @@ OMISSIONS = (LIQUID, FAR_LIQUID)
 """What may be refused; the metal's core has no unknowns in any march, coarse liquid is none yet."""
 
 DEFAULT_TOLERANCE = 1e-3
+
+Discrete = BiMaterial | Cells
+
+
+def _discrete(scene: CorrosionScene) -> Discrete:
+    """The scene's discrete equations: by nodes, or by rate classes where it has them."""
+    return BiMaterial(scene) if scene.exposure is None else Cells(scene)
 
 
 @dataclass(frozen=True)
@@ -53,7 +62,7 @@ class Omission:
     of: str = "the volume loss"
 
 
-def liquid_bound(scene: CorrosionScene, problem: BiMaterial | None = None) -> np.ndarray:
+def liquid_bound(scene: CorrosionScene, problem: Discrete | None = None) -> np.ndarray:
     """An upper bound of the liquid's concentration at every node and time, mol/m^3.
 
     The interface inflow never exceeds its first value into clean liquid (the metal only loses,
@@ -65,7 +74,15 @@ def liquid_bound(scene: CorrosionScene, problem: BiMaterial | None = None) -> np
     -------
     array of the lattice's shape; infinite where liquid cannot reach refreshed medium.
     """
-    problem = problem or BiMaterial(scene)
+    problem = problem or _discrete(scene)
+    if isinstance(problem, Cells):
+        try:
+            steady = problem.steady_bound()
+        except ConvergenceError as error:
+            log.info("no bound for the liquid: %s", error)
+            steady = None
+        liquid = problem.sum.crop(problem.free) > 0
+        return np.where(liquid, np.inf, 0.0) if steady is None else 1.0001 * steady
     out = np.zeros(scene.lattice.shape)
     if problem.box is None:
         return out
@@ -109,12 +126,12 @@ def plan_omissions(
     ValueError
         For a tolerance outside [0, 1) or an unknown name in `refused`.
     """
-    return _plan(scene, BiMaterial(scene), end_time, tolerance, refused)[0]
+    return _plan(scene, _discrete(scene), end_time, tolerance, refused)[0]
 
 
 def _plan(
     scene: CorrosionScene,
-    problem: BiMaterial,
+    problem: Discrete,
     end_time: float,
     tolerance: float,
     refused: Collection[str],
@@ -137,7 +154,7 @@ def _solid_core(scene: CorrosionScene, end_time: float) -> Omission:
         f"diffusion between the {count} metal nodes is not part of the model, so each one is "
         "eliminated exactly and takes no unknown"
     )
-    if scene.kinetics.never_speeds_up:
+    if scene.exposure is None and scene.kinetics.never_speeds_up:
         risk = int(metal_at_risk(scene, end_time).sum())
         depth = 1e6 * front_depth(scene, end_time)
         reason += (
@@ -230,7 +247,8 @@ def _liquid(scene, problem, end_time, tolerance, refused) -> Omission:
         reason = "needed: the kinetics may speed up, or differs from place to place"
         return Omission(LIQUID, reason, math.inf, False)
     bound = liquid_bound(scene, problem)
-    reach = bound[scene.domain & ~scene.metal].max(initial=0.0)
+    liquid = scene.domain if isinstance(problem, Cells) else scene.domain & ~scene.metal
+    reach = bound[liquid].max(initial=0.0)
     if not np.isfinite(reach):
         return Omission(
             LIQUID,
@@ -248,12 +266,11 @@ def _liquid(scene, problem, end_time, tolerance, refused) -> Omission:
         )
     epsilon = reach / scene.solid_concentration
     error = epsilon / (1.0 - epsilon) if epsilon < 1 else math.inf
-    reduced = well_stirred(scene, [end_time], problem=problem)
-    lost = int((scene.metal & ~reduced.metal[-1]).sum())
+    lost, parts = _dissolved(scene, problem, end_time)
     if lost:
         return Omission(
             LIQUID,
-            f"needed: {lost} metal nodes turn liquid by the end and expose others",
+            f"needed: {lost} {parts} turn liquid by the end and expose others",
             math.inf,
             False,
         )
@@ -265,6 +282,18 @@ def _liquid(scene, problem, end_time, tolerance, refused) -> Omission:
         error,
         error <= tolerance and LIQUID not in refused,
     )
+
+
+def _dissolved(scene: CorrosionScene, problem: Discrete, end_time: float) -> tuple[int, str]:
+    """How many metal nodes, or rate classes, fall below C_sat in clean liquid by the end."""
+    if not isinstance(problem, Cells):
+        reduced = well_stirred(scene, [end_time], problem=problem)
+        return int((scene.metal & ~reduced.metal[-1]).sum()), "metal nodes"
+    law, diffusivity = factor_of(scene.kinetics), scene.base_interface_diffusivity()
+    found = ReducedCorrosion.of(scene).volume_loss(np.array([end_time]), diffusivity, law)
+    left = np.exp(-class_bond_sums(scene) * found.exposure[0])
+    below = scene.solid_concentration * left < scene.saturation_concentration
+    return int(below.sum()), "rate classes"
 
 
 def corrode_lean(
@@ -280,10 +309,11 @@ def corrode_lean(
     **march,
 ) -> tuple[CorrosionResult, list[Omission]]:
     """`corrode` without what the scene does not need; also returns what was left out."""
-    problem = BiMaterial(scene)
+    problem = _discrete(scene)
     omissions, domain = _plan(scene, problem, float(np.max(times)), tolerance, refused)
     if any(o.name == LIQUID and o.applied for o in omissions):
-        return well_stirred(scene, times, problem=problem), omissions
+        nodes = None if isinstance(problem, Cells) else problem
+        return well_stirred(scene, times, problem=nodes), omissions
     del problem  # its arrays; the march has its own
     marched = scene
     if any(o.name == FAR_LIQUID and o.applied for o in omissions):

@@ -11,6 +11,7 @@ from peri.corrosion.run import corrode
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.lattice import Lattice
 from peri.engine.marching import TimeStepping
+from peri.omissions.planning import LIQUID, corrode_lean, plan_omissions
 from peri.omissions.reduced import ReducedCorrosion, factor_of
 from peri.omissions.well_stirred import well_stirred
 from tests.peri.bodies import box
@@ -40,7 +41,7 @@ def brick(classes=3, **options):
         "exposure": cell_exposure(lattice, box(LOW, HIGH), 1.0, fraction, classes),
         **options,
     }
-    return CorrosionScene(lattice, 1.0, fraction > 0.5, **settings)
+    return CorrosionScene(lattice, 1.0, fraction > 0, **settings)
 
 
 def random_classes(seed, **options):
@@ -69,7 +70,7 @@ def brick_scene(lattice, exposure, **options):
         "kinetics": ConstantRate(),
         **options,
     }
-    metal = exposure.metal.fraction > 0.5
+    metal = exposure.metal.fraction > 0
     return CorrosionScene(lattice, 1.0, metal, exposure=exposure, **settings)
 
 
@@ -159,6 +160,19 @@ def test_balance_and_bounds_of_random_scenes(seed):
         assert abs(after + released - before) < 1e-12 * before
         assert stage.liquid.min() >= 0 and stage.liquid.max() <= 1.0 + 1e-9
         assert stage.classes.max() <= 100.0 * (1 + 1e-12) and stage.classes.min() >= 0
+
+
+def test_planning_knows_classes():
+    clean = brick(boundary="refreshed", liquid_diffusivity=1e4, saturation_concentration=0.5)
+    result, omissions = corrode_lean(clean, [20.0])
+    liquid = next(o for o in omissions if o.name == LIQUID)
+    assert liquid.applied and 0 < liquid.bound < 1e-3
+    marched = corrode(clean, [20.0], TimeStepping("sdirk2", rate_change=0.02))
+    assert result.volume_loss[0] == pytest.approx(marched.volume_loss[0], rel=1e-3)
+    longest = plan_omissions(clean, 1e7)
+    assert "rate classes turn liquid" in next(o for o in longest if o.name == LIQUID).reason
+    closed = plan_omissions(brick(), 20.0)
+    assert not any(o.applied for o in closed if o.name == LIQUID)
 
 
 def test_classes_dissolve_into_their_cells():
