@@ -1,4 +1,4 @@
-"""Solids and tetrahedral meshes by gmsh and OpenCASCADE: the only file that imports gmsh.
+"""Solids and tetrahedral meshes by gmsh and OpenCASCADE (mesh_sizes: how large the cells are).
 
 The CAD model is in mm (OpenCASCADE's tolerances suit that); everything handed out is in m.
 """
@@ -17,6 +17,7 @@ import gmsh
 import numpy as np
 
 from pipeline.geometry.mesh import TetrahedralMesh, cell_volumes, mesh_quality
+from pipeline.geometry.mesh_sizes import set_sizes
 from pipeline.geometry.surface import (
     Solid,
     bounding_box,
@@ -194,36 +195,49 @@ def contains(solid: Solid, points: np.ndarray) -> np.ndarray:
         return inside
 
 
-def tetrahedral_mesh(solid: Solid, size: float, size_fine: float | None = None) -> TetrahedralMesh:
+def tetrahedral_mesh(
+    solid: Solid,
+    size: float,
+    size_fine: float | None = None,
+    size_ends: tuple[float | None, float | None] = (None, None),
+) -> TetrahedralMesh:
     """Tetrahedra of edge length ``size`` (m) inside and ``size_fine`` along thread and slot.
 
     ``size_fine`` (default: half of ``size``) holds on the sharp edges of the solid - the helices
-    of a thread, the outline of slot and end faces - and grows to ``size`` over 2 ``size``.
-    Straight edges, nodes exactly on the end planes. Attempts with other algorithms and slightly
+    of a thread, the outline of slot and end faces - and grows to ``size`` over 2 ``size``;
+    ``size_ends`` likewise within two of these lengths of the lowest and of the highest z (None:
+    nothing is refined there). Straight edges, nodes exactly on the end planes. Attempts with other algorithms and slightly
     other sizes follow if gmsh fails. ValueError for sizes out of range or where no attempt works.
     """
     if size_fine is None:
         size_fine = size / 2
     extent = float(np.max(np.subtract(solid.bounding_box[1], solid.bounding_box[0])))
-    for name, value in (("mesh size", size), ("fine mesh size", size_fine)):
+    levels = [corner[2] for corner in solid.bounding_box]
+    smaller = zip(("fine", "bottom", "top"), (size_fine, *size_ends), strict=True)
+    smaller = {f"{name} mesh size": value for name, value in smaller if value is not None}
+    for name, value in {"mesh size": size, **smaller}.items():
         if not extent / 1000 <= value <= extent:
             raise ValueError(
                 f"{name} is {value * MM:.6g} mm: allowed are {extent / 1000 * MM:.6g} "
                 f"to {extent * MM:.6g} mm."
             )
-    if size_fine > size:
-        raise ValueError(
-            f"fine mesh size is {size_fine * MM:.6g} mm: allowed is at most the mesh size, "
-            f"{size * MM:.6g} mm."
-        )
+        if value > size:
+            raise ValueError(
+                f"{name} is {value * MM:.6g} mm: allowed is at most the mesh size, "
+                f"{size * MM:.6g} mm."
+            )
     reasons = []
     for plane, space, factor in MESH_ATTEMPTS:
         try:
             with _gmsh_session():
                 _load_solid(solid)
-                points, cells = _mesh_model(
-                    size * factor * MM, size_fine * factor * MM, plane, space
+                scale = factor * MM
+                set_sizes(
+                    size * scale,
+                    size_fine * scale,
+                    [(z * MM, end * scale) for z, end in zip(levels, size_ends, strict=True) if end],
                 )
+                points, cells = _mesh_model(plane, space)
         except (MemoryError, RuntimeError):
             raise
         except Exception as error:  # gmsh raises nothing more specific
@@ -233,16 +247,14 @@ def tetrahedral_mesh(solid: Solid, size: float, size_fine: float | None = None) 
         quality = mesh_quality(points, cells, solid.volume)
         if quality["min_cell_volume"] > 0 and abs(quality["volume_error"]) < 0.1:
             quality |= {"size": size, "size_fine": size_fine, "size_factor": factor}
+            quality["size_ends"] = list(size_ends)
             return TetrahedralMesh(points, cells, quality)
         reasons.append(f"volume off by {quality['volume_error']:.1%}")
     raise ValueError(f"mesh size is {size * MM:.6g} mm: no mesh of {solid.name} ({reasons[-1]}).")
 
 
-def _mesh_model(
-    size: float, size_fine: float, plane: int, space: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Mesh the loaded model (sizes in mm); points in m, cells."""
-    _size_field(size, size_fine)
+def _mesh_model(plane: int, space: int) -> tuple[np.ndarray, np.ndarray]:
+    """Mesh the loaded model with the sizes that were set; points in m, cells."""
     option = gmsh.option.setNumber
     option("Mesh.Algorithm", plane)
     option("Mesh.Algorithm3D", space)
@@ -259,35 +271,6 @@ def _mesh_model(
     turned = cell_volumes(points, cells) < 0
     cells[turned] = cells[turned][:, [0, 2, 1, 3]]
     return points, cells
-
-
-def _size_field(size: float, size_fine: float) -> None:
-    """Cell size by the distance to the sharp edges of the model (mm)."""
-    option = gmsh.option.setNumber
-    for name in ("ExtendFromBoundary", "FromPoints", "FromCurvature"):
-        option(f"Mesh.MeshSize{name}", 0)
-    if size_fine >= size:
-        option("Mesh.MeshSizeMax", size)
-        return
-    field = gmsh.model.mesh.field
-    distance = field.add("Distance")
-    edges = [tag for _, tag in gmsh.model.getEntities(1)]
-    longest = max((_curve_length(tag) for tag in edges), default=1.0)
-    field.setNumbers(distance, "CurvesList", edges)
-    field.setNumber(distance, "Sampling", max(20, min(2000, math.ceil(2 * longest / size_fine))))
-    grow = field.add("Threshold")
-    field.setNumber(grow, "InField", distance)
-    field.setNumber(grow, "SizeMin", size_fine)
-    field.setNumber(grow, "SizeMax", size)
-    field.setNumber(grow, "DistMin", 0.5 * size_fine)
-    field.setNumber(grow, "DistMax", 2 * size)
-    field.setAsBackgroundMesh(grow)
-
-
-def _curve_length(tag: int) -> float:
-    low, high = gmsh.model.getParametrizationBounds(1, tag)
-    points = gmsh.model.getValue(1, tag, np.linspace(low[0], high[0], 33)).reshape(-1, 3)
-    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
 
 def _nodes() -> tuple[np.ndarray, np.ndarray]:
