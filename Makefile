@@ -17,7 +17,7 @@ setup: ## make .venv with everything that is needed (idempotent)
 
 run: setup ## the screw of both alloys, 0 to 24 weeks, quick resolution: runs/screw/report.html
 	.venv/bin/perilife run --alloy Mg-5Gd Mg-10Gd --immersion 0w 1w 2w 4w 8w 24w \
-		--resolution quick --out $(RUN_FOLDER) --resume
+		--hold all --resolution quick --out $(RUN_FOLDER) --resume
 
 test: setup ## every test that is not marked slow
 	.venv/bin/python -m pytest -q

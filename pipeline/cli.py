@@ -101,6 +101,7 @@ def build_parser() -> argparse.ArgumentParser:
         _add_folder_options(stage)
         stage.add_argument("--alloy", nargs="+", metavar="A", help="only these of the run")
         if name != "corrode":
+            stage.add_argument("--hold", nargs="+", metavar="H", help="only these of the run")
             stage.add_argument("--immersion", nargs="+", metavar="T", help="only these of the run")
         if name == "pull":
             _add_machine_options(stage)
@@ -262,27 +263,22 @@ def _geometry(options: argparse.Namespace) -> int:
 
 
 def _corrode(options: argparse.Namespace) -> int:
-    return _stages(options, lambda cycle, alloys, times: [cycle.corrode(a) for a in alloys])
+    return _stages(options, lambda cycle, alloys, tests: [cycle.corrode(a) for a in alloys])
 
 
 def _map(options: argparse.Namespace) -> int:
-    return _stages(
-        options,
-        lambda cycle, alloys, times: [cycle.map(a, t) for a in alloys for t in times],
-    )
+    return _stages(options, lambda cycle, alloys, tests: [cycle.map(*test) for test in tests])
 
 
 def _pull(options: argparse.Namespace) -> int:
     from pipeline.record.machine import check_counts
 
     check_counts(options.np, options.pulls, options.oversubscribe)
-    return _stages(
-        options, lambda cycle, alloys, times: cycle.pull([(a, t) for a in alloys for t in times])
-    )
+    return _stages(options, lambda cycle, alloys, tests: cycle.pull(tests))
 
 
 def _report(options: argparse.Namespace) -> int:
-    def action(cycle, alloys, times):
+    def action(cycle, alloys, tests):
         _print_summary(cycle.summarise())
         cycle.report(again=True)
 
@@ -300,6 +296,9 @@ def _stages(options: argparse.Namespace, action: Callable) -> int:
     alloys = [scene.alloy(name).name for name in names]
     labels = getattr(options, "immersion", None)
     times = scene.with_intact() if labels is None else [scene.time(label) for label in labels]
+    ways = getattr(options, "hold", None)
+    holds = scene.holds if ways is None else [scene.hold(name) for name in ways]
+    tests = [(alloy, time, hold) for hold in holds for alloy in alloys for time in times]
     with folder.lock(), progress_for(sys.stderr, options.quiet) as progress:
         cycle = LifeCycle(
             scene,
@@ -308,7 +307,7 @@ def _stages(options: argparse.Namespace, action: Callable) -> int:
             workers=getattr(options, "pulls", None),
             progress=progress,
         )
-        action(cycle, alloys, times)
+        action(cycle, alloys, tests)
     return 0
 
 
@@ -456,6 +455,7 @@ def _print_summary(rows: list) -> None:
     table = Table(title=f"Residual {names.strength}")
     for column in (
         "alloy",
+        "hold",
         "immersion [d]",
         "volume loss [%]",
         "mean damage",
@@ -464,10 +464,13 @@ def _print_summary(rows: list) -> None:
         f"{names.strain_title.lower()} at peak",
         "status",
     ):
-        table.add_column(column, justify="left" if column in ("alloy", "status") else "right")
+        table.add_column(
+            column, justify="left" if column in ("alloy", "hold", "status") else "right"
+        )
     for row in rows:
         table.add_row(
             row.alloy,
+            row.hold,
             f"{row.immersion_days:g}",
             f"{100 * row.volume_loss:.2f}",
             f"{row.mean_corrosion_damage:.4f}",

@@ -21,11 +21,14 @@ from pipeline.record.stage_hashes import (
 )
 from pipeline.record.summary import SummaryRow, write_summary
 from pipeline.scene.loads import LOADS
-from pipeline.scene.scene import Scene
+from pipeline.scene.scene import HoldScene, Scene
 from pipeline.scene.units import ImmersionTime
 from pipeline.stages.strength import TensileJob, read_result, run_jobs, written_files
 
 logger = logging.getLogger(__name__)
+
+Test = tuple[str, ImmersionTime, HoldScene]
+"""What is pulled: alloy, immersion time, way of holding."""
 
 Outcome = tuple[list[Path], dict[str, object]]
 """What a stage leaves: the files that must exist, and numbers for its record."""
@@ -80,7 +83,10 @@ class LifeCycle:
         self._solid = solid
 
     def run(self) -> list[SummaryRow]:
-        """Every stage for every alloy and immersion time; returns the rows of summary.csv."""
+        """Every stage for every alloy, immersion time and way of holding.
+
+        Returns the rows of summary.csv.
+        """
         times = self.scene.with_intact()
         if times != self.scene.immersion:
             self.progress.note(
@@ -90,16 +96,16 @@ class LifeCycle:
         self.geometry()
         for name in names:
             self.corrode(name)
-        for name in names:
-            for moment in times:
-                self.map(name, moment)
-        self.pull([(name, moment) for name in names for moment in times])
+        tests = [(n, moment, h) for h in self.scene.holds for n in names for moment in times]
+        for test in tests:
+            self.map(*test)
+        self.pull(tests)
         rows = self.summarise()
         self.report()
         return rows
 
     def geometry(self) -> StageRecord:
-        """Solid and tetrahedral mesh."""
+        """Solid and tetrahedral meshes."""
         from pipeline.stages.geometry import write_geometry
 
         folder = self.folder.geometry
@@ -132,49 +138,48 @@ class LifeCycle:
             ),
         )
 
-    def map(self, alloy: str, moment: ImmersionTime) -> StageRecord:
-        """Corrosion damage of one alloy after one immersion time at the quadrature points."""
+    def map(self, alloy: str, moment: ImmersionTime, hold: HoldScene) -> StageRecord:
+        """Corrosion damage of one alloy after one immersion time on the mesh of a holding."""
         from pipeline.stages.mapping import map_in_folder
 
         self._needs("geometry", self.folder.geometry, geometry_hash(self.scene))
         corrosion = self.folder.corrosion(alloy)
         self._needs("corrode", corrosion, corrosion_hash(self.scene, alloy))
-        folder = self.folder.immersion(alloy, moment.label)
+        folder = self.folder.test(alloy, moment.label, hold.name)
+        mesh = self.folder.geometry / self.scene.mesh_folder(hold)
         return self._do(
             "map",
-            f"map {alloy} {moment.label}",
+            f"map {alloy} {moment.label} {hold.name}",
             folder,
-            map_hash(self.scene, alloy, moment),
-            lambda: map_in_folder(
-                self.scene, alloy, moment, self.folder.geometry, corrosion, folder
-            ),
+            map_hash(self.scene, alloy, moment, hold),
+            lambda: map_in_folder(self.scene, alloy, moment, hold, mesh, corrosion, folder),
         )
 
-    def pull(self, cases: Iterable[tuple[str, ImmersionTime]]) -> list[StageRecord]:
-        """Tensile tests of alloys after immersion times, several at a time."""
-        cases = {f"pull {alloy} {moment.label}": (alloy, moment) for alloy, moment in cases}
+    def pull(self, tests: Iterable[Test]) -> list[StageRecord]:
+        """Tensile tests of alloys after immersion times held in some ways, several at a time."""
+        tests = {f"pull {test[0]} {test[1].label} {test[2].name}": test for test in tests}
         jobs: dict[str, TensileJob] = {}
-        for key, (alloy, moment) in cases.items():
-            folder = self.folder.immersion(alloy, moment.label)
-            self._needs("map", folder, map_hash(self.scene, alloy, moment))
-            inputs = pull_hash(self.scene, alloy, moment)
+        for key, test in tests.items():
+            alloy, _, hold = test
+            folder = self._place(test)
+            self._needs("map", folder, map_hash(self.scene, *test))
+            inputs = pull_hash(self.scene, *test)
             if self.folder.complete(folder, "pull", inputs):
                 self.progress.reused(key)
                 continue
             self._say_damage("pull", folder, inputs)
             self.folder.forget(folder, "pull")
             jobs[key] = TensileJob(
-                geometry=str(self.folder.geometry),
+                geometry=str(self.folder.geometry / self.scene.mesh_folder(hold)),
                 damage=str(folder),
                 out=str(folder),
                 material=self.scene.alloy(alloy).material,
-                tensile=self.scene.tensile,
+                tensile=hold.tensile,
             )
 
         def finished(key: str, seconds: float) -> None:
-            alloy, moment = cases[key]
-            folder = self.folder.immersion(alloy, moment.label)
-            inputs = pull_hash(self.scene, alloy, moment)
+            folder = self._place(tests[key])
+            inputs = pull_hash(self.scene, *tests[key])
             outcome = (written_files(folder), read_result(folder))
             self._complete("pull", folder, inputs, seconds, outcome)
             self.progress.finished(key, seconds)
@@ -188,10 +193,7 @@ class LifeCycle:
             finished=finished,
             keep=self.folder.descriptors,
         )
-        records = [
-            self.folder.read_record(self.folder.immersion(alloy, moment.label), "pull")
-            for alloy, moment in cases.values()
-        ]
+        records = [self.folder.read_record(self._place(test), "pull") for test in tests.values()]
         return [record for record in records if record is not None]
 
     def summarise(self) -> list[SummaryRow]:
@@ -205,26 +207,28 @@ class LifeCycle:
                 "corrode", self.folder.corrosion(alloy.name), corrosion_hash(self.scene, alloy.name)
             )
             losses = corrosion.numbers["volume_loss"]
-            reference = self._pulled(alloy.name, intact)[peak]
-            for moment, loss in zip(self.scene.with_intact(), losses, strict=True):
-                if moment not in self.scene.immersion:
-                    continue
-                folder = self.folder.immersion(alloy.name, moment.label)
-                mapped = self._needs("map", folder, map_hash(self.scene, alloy.name, moment))
-                pulled = self._pulled(alloy.name, moment)
-                rows.append(
-                    SummaryRow(
-                        alloy=alloy.name,
-                        immersion_days=moment.days,
-                        volume_loss=float(loss),
-                        mean_corrosion_damage=float(mapped.numbers["mean_corrosion_damage"]),
-                        peak_reaction=pulled[peak],
-                        strength_ratio=pulled[peak] / reference,
-                        strain_at_peak=pulled[strain],
-                        status=pulled["status"],
-                        load=load,
+            for hold in self.scene.holds:
+                reference = self._pulled((alloy.name, intact, hold))[peak]
+                for moment, loss in zip(self.scene.with_intact(), losses, strict=True):
+                    if moment not in self.scene.immersion:
+                        continue
+                    test = (alloy.name, moment, hold)
+                    mapped = self._needs("map", self._place(test), map_hash(self.scene, *test))
+                    pulled = self._pulled(test)
+                    rows.append(
+                        SummaryRow(
+                            alloy=alloy.name,
+                            hold=hold.name,
+                            immersion_days=moment.days,
+                            volume_loss=float(loss),
+                            mean_corrosion_damage=float(mapped.numbers["mean_corrosion_damage"]),
+                            peak_reaction=pulled[peak],
+                            strength_ratio=pulled[peak] / reference,
+                            strain_at_peak=pulled[strain],
+                            status=pulled["status"],
+                            load=load,
+                        )
                     )
-                )
         write_summary(self.folder.summary_file, rows)
         return rows
 
@@ -242,9 +246,12 @@ class LifeCycle:
         inputs = report_hash(self.scene, made)
         return self._do("report", "report", self.folder.path, inputs, work)
 
-    def _pulled(self, alloy: str, moment: ImmersionTime) -> dict:
-        folder = self.folder.immersion(alloy, moment.label)
-        return self._needs("pull", folder, pull_hash(self.scene, alloy, moment)).numbers
+    def _place(self, test: Test) -> Path:
+        alloy, moment, hold = test
+        return self.folder.test(alloy, moment.label, hold.name)
+
+    def _pulled(self, test: Test) -> dict:
+        return self._needs("pull", self._place(test), pull_hash(self.scene, *test)).numbers
 
     def _needs(self, stage: str, folder: Path, inputs: str) -> StageRecord:
         """The record of an earlier stage; refuses to go on without it."""

@@ -174,10 +174,10 @@ def published_pull(
         cycle.geometry()
         meshed = time.perf_counter() - begun
         cycle.corrode("Mg-5Gd")
-        moment = scene.immersion[0]
-        cycle.map("Mg-5Gd", moment)
-        cycle.pull([("Mg-5Gd", moment)])
-        folder = cycle.folder.immersion("Mg-5Gd", moment.label)
+        moment, hold = scene.immersion[0], scene.holds[0]
+        cycle.map("Mg-5Gd", moment, hold)
+        cycle.pull([("Mg-5Gd", moment, hold)])
+        folder = cycle.folder.test("Mg-5Gd", moment.label, hold.name)
         result = read_result(folder)
         table = np.genfromtxt(folder / "tensile.csv", delimiter=",", names=True)
     cost = result["cost"]

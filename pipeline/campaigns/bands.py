@@ -93,9 +93,9 @@ class BandedLifeCycle(LifeCycle):
 
     def bands(self) -> StageRecord:
         """bands.csv of all alloys."""
-        times = self.scene.with_intact()
+        times, hold = self.scene.with_intact(), self.scene.holds[0]
         parts = [
-            [corrosion_hash(self.scene, a.name), pull_hash(self.scene, a.name, times[-1])]
+            [corrosion_hash(self.scene, a.name), pull_hash(self.scene, a.name, times[-1], hold)]
             for a in self.scene.alloys
         ]
         sampled = [[s.names, s.values.tolist()] for s in self.samples.values()]

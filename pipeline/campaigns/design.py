@@ -123,7 +123,7 @@ class Designer:
         folder = self.out / f"{name}-{label}".replace("/", "_")
         with open_run(scene, folder, folder.exists()) as (opened, solid):
             rows = _Quietly(scene, opened, solid=solid, progress=self.progress).run()
-        row = rows[-1]
+        row = [row for row in rows if row.hold == scene.holds[0].name][-1]
         found = Candidate(label, row.strength_ratio, row.peak_reaction, row.volume_loss, folder)
         self.tried[label] = found
         self.say(

@@ -100,8 +100,9 @@ class CurveTests:
         cycle = LifeCycle(scene, folder, ranks=self.ranks, workers=1, progress=self.progress)
         cycle.geometry()
         cycle.corrode(self.alloy)
-        cycle.map(self.alloy, moment)
-        record = cycle.pull([(self.alloy, moment)])[0]
+        test = (self.alloy, moment, scene.holds[0])
+        cycle.map(*test)
+        record = cycle.pull([test])[0]
         self.tests += 1
         return float(record.numbers[f"peak_{LOADS[scene.tensile.load].reaction}"])
 

@@ -206,8 +206,9 @@ def tetrahedral_mesh(
     ``size_fine`` (default: half of ``size``) holds on the sharp edges of the solid - the helices
     of a thread, the outline of slot and end faces - and grows to ``size`` over 2 ``size``;
     ``size_ends`` likewise within two of these lengths of the lowest and of the highest z (None:
-    nothing is refined there). Straight edges, nodes exactly on the end planes. Attempts with other algorithms and slightly
-    other sizes follow if gmsh fails. ValueError for sizes out of range or where no attempt works.
+    nothing is refined there). Straight edges, nodes exactly on the end planes. Attempts with other
+    algorithms and slightly other sizes follow if gmsh fails. ValueError for sizes out of range or
+    where no attempt works.
     """
     if size_fine is None:
         size_fine = size / 2
@@ -235,7 +236,11 @@ def tetrahedral_mesh(
                 set_sizes(
                     size * scale,
                     size_fine * scale,
-                    [(z * MM, end * scale) for z, end in zip(levels, size_ends, strict=True) if end],
+                    [
+                        (z * MM, end * scale)
+                        for z, end in zip(levels, size_ends, strict=True)
+                        if end
+                    ],
                 )
                 points, cells = _mesh_model(plane, space)
         except (MemoryError, RuntimeError):

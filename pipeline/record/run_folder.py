@@ -75,9 +75,9 @@ class RunFolder:
         """Concentration fields and history of one alloy."""
         return self.path / alloy / "corrosion"
 
-    def immersion(self, alloy: str, label: str) -> Path:
-        """Damage map and tensile test of one alloy after one immersion time."""
-        return self.path / alloy / label
+    def test(self, alloy: str, label: str, hold: str) -> Path:
+        """Damage map and tensile test of one alloy after one immersion time, held in one way."""
+        return self.path / alloy / label / hold
 
     def is_empty(self) -> bool:
         """Whether nothing is in the folder but perhaps what an ended run left before its scene."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pipeline.record.run_folder import RunFolder, StageRecord
 from pipeline.record.summary import SummaryRow, read_summary
 from pipeline.scene.loads import LOADS, LoadNames
-from pipeline.scene.scene import Scene, scene_from_json
+from pipeline.scene.scene import HoldScene, Scene, scene_from_json
 
 logger = logging.getLogger(__name__)
 
@@ -27,7 +27,7 @@ STAGES = ("geometry", "corrode", "map", "pull", "report")
 
 @dataclass(frozen=True)
 class ImmersionResult:
-    """One alloy after one immersion time; None where a stage has not run.
+    """One alloy after one immersion time, held in one way; None where a stage has not run.
 
     curve: columns of tensile.csv by name; damage: (nc, nq) corrosion damage f0 at the quadrature
     points; tensile: content of tensile.json; map_numbers: what the map stage measured.
@@ -72,19 +72,21 @@ class ImmersionResult:
 
 @dataclass(frozen=True)
 class AlloyResult:
-    """One alloy: its corrosion history (columns of history.csv by name) and its times."""
+    """One alloy held in one way: its history (columns of history.csv by name) and its times."""
 
     name: str
     history: dict[str, NDArray[np.float64]]
     immersions: tuple[ImmersionResult, ...]
     corrosion_numbers: dict = field(default_factory=dict)
+    hold: str = "shank"
 
 
 @dataclass(frozen=True)
 class RunResults:
     """Everything that a run folder holds and a report shows.
 
-    points: (n, 3) m and cells: (nc, 4) of the mesh; missing: one sentence per absent part.
+    points: (n, 3) m and cells: (nc, 4) of the mesh; alloys: in the first way of holding; held: the
+    same in every way, by its name; missing: one sentence per absent part.
     """
 
     folder: Path
@@ -96,6 +98,7 @@ class RunResults:
     alloys: tuple[AlloyResult, ...]
     records: tuple[tuple[str, StageRecord], ...]
     missing: tuple[str, ...]
+    held: dict[str, tuple[AlloyResult, ...]] = field(default_factory=dict)
 
 
 def read_run(path: Path | str) -> RunResults:
@@ -111,9 +114,12 @@ def read_run(path: Path | str) -> RunResults:
     missing: list[str] = []
     points, cells = _read_mesh(folder.geometry / "mesh.h5", missing)
     summary = _read_summary(folder.summary_file, missing)
-    alloys = tuple(
-        _read_alloy(folder, scene, alloy.name, summary, missing) for alloy in scene.alloys
-    )
+    held = {
+        hold.name: tuple(
+            _read_alloy(folder, scene, alloy.name, hold, summary, missing) for alloy in scene.alloys
+        )
+        for hold in scene.holds
+    }
     return RunResults(
         folder=folder.path,
         scene=scene,
@@ -121,9 +127,10 @@ def read_run(path: Path | str) -> RunResults:
         geometry=_read_json(folder.geometry / "geometry.json"),
         points=points,
         cells=cells,
-        alloys=alloys,
+        alloys=held[scene.holds[0].name],
         records=_read_records(folder, scene),
-        missing=tuple(missing),
+        missing=tuple(dict.fromkeys(missing)),
+        held=held,
     )
 
 
@@ -157,29 +164,36 @@ def _read_summary(path: Path, missing: list[str]) -> list[SummaryRow]:
 
 
 def _read_alloy(
-    folder: RunFolder, scene: Scene, name: str, summary: list[SummaryRow], missing: list[str]
+    folder: RunFolder,
+    scene: Scene,
+    name: str,
+    hold: HoldScene,
+    summary: list[SummaryRow],
+    missing: list[str],
 ) -> AlloyResult:
-    names = LOADS[scene.tensile.load]
+    names = LOADS[hold.tensile.load]
+    held = f" ({hold.name})" if len(scene.holds) > 1 else ""
     history = _read_columns(folder.corrosion(name) / "history.csv")
     if not history:
         missing.append(f"the course of corrosion of {name} (corrosion/history.csv)")
     immersions = []
     for time in scene.with_intact():
-        place = folder.immersion(name, time.label)
+        place = folder.test(name, time.label, hold.name)
         curve = _read_columns(place / "tensile.csv")
         damage = _read_damage(place / "damage.h5")
         if damage is None:
-            missing.append(f"the damage map of {name} after {time.label}")
+            missing.append(f"the damage map of {name}{held} after {time.label}")
         if column(curve, names.abscissa) is None or column(curve, names.reaction) is None:
-            missing.append(f"the {names.test} of {name} after {time.label}")
+            missing.append(f"the {names.test} of {name}{held} after {time.label}")
         rows = [
             row
             for row in summary
-            if row.alloy == name and abs(row.immersion_days - time.days) < 1e-6 * (1 + time.days)
+            if (row.alloy, row.hold) == (name, hold.name)
+            and abs(row.immersion_days - time.days) < 1e-6 * (1 + time.days)
         ]
         tensile = _read_json(place / "tensile.json")
         if str(tensile.get("status", "")).startswith("stopped"):
-            missing.append(f"the end of the {names.test} of {name} after {time.label}")
+            missing.append(f"the end of the {names.test} of {name}{held} after {time.label}")
         record = folder.read_record(place, "map")
         immersions.append(
             ImmersionResult(
@@ -190,12 +204,12 @@ def _read_alloy(
                 damage=damage,
                 tensile=tensile,
                 map_numbers=dict(record.numbers) if record else {},
-                load=scene.tensile.load,
+                load=hold.tensile.load,
             )
         )
     corrosion = folder.read_record(folder.corrosion(name), "corrode")
     numbers = dict(corrosion.numbers) if corrosion else {}
-    return AlloyResult(name, history, tuple(immersions), numbers)
+    return AlloyResult(name, history, tuple(immersions), numbers, hold.name)
 
 
 def column(columns: dict[str, NDArray[np.float64]], name: str) -> NDArray[np.float64] | None:
@@ -252,8 +266,14 @@ def _read_records(folder: RunFolder, scene: Scene) -> tuple[tuple[str, StageReco
     places = [("", folder.geometry)]
     for alloy in scene.alloys:
         places.append((alloy.name, folder.corrosion(alloy.name)))
-        for time in scene.with_intact():
-            places.append((f"{alloy.name} {time.label}", folder.immersion(alloy.name, time.label)))
+        places += [
+            (
+                f"{alloy.name} {time.label} {hold.name}",
+                folder.test(alloy.name, time.label, hold.name),
+            )
+            for hold in scene.holds
+            for time in scene.with_intact()
+        ]
     found = []
     for stage in STAGES:
         for place, path in places:

@@ -7,10 +7,10 @@ of its code.
 import dataclasses
 
 from pipeline.record.machine import version
-from pipeline.scene.scene import Scene, content_hash
+from pipeline.scene.scene import HoldScene, Scene, content_hash
 from pipeline.scene.units import ImmersionTime
 
-STAGE_REVISION = {"geometry": 1, "corrode": 3, "map": 3, "pull": 4, "report": 3}
+STAGE_REVISION = {"geometry": 2, "corrode": 3, "map": 4, "pull": 5, "report": 4}
 """Raise a stage's number with every change of code (peri and fem included) or of a default outside
 the scene that changes what the stage writes: otherwise a run folder that is gone on with keeps what
 the older code wrote there.  Stages that build on it follow by themselves."""
@@ -22,8 +22,9 @@ def stage_hash(stage: str, *parts: object) -> str:
 
 
 def geometry_hash(scene: Scene) -> str:
-    """What the solid and its mesh depend on; a solid file counts by its content."""
-    return stage_hash("geometry", _geometry(scene), dataclasses.asdict(scene.mesh))
+    """What the solid and its meshes depend on; a solid file counts by its content."""
+    meshes = {folder: dataclasses.asdict(mesh) for folder, mesh in scene.meshes().items()}
+    return stage_hash("geometry", _geometry(scene), meshes)
 
 
 def corrosion_hash(scene: Scene, alloy: str) -> str:
@@ -40,27 +41,27 @@ def corrosion_hash(scene: Scene, alloy: str) -> str:
     )
 
 
-def map_hash(scene: Scene, alloy: str, time: ImmersionTime) -> str:
-    """What the damage map of one alloy and time depends on."""
+def map_hash(scene: Scene, alloy: str, time: ImmersionTime, hold: HoldScene) -> str:
+    """What the damage map of one alloy and time for one way of holding depends on."""
     return stage_hash(
         "map",
-        geometry_hash(scene),
+        stage_hash("geometry", _geometry(scene), dataclasses.asdict(hold.mesh)),
         corrosion_hash(scene, alloy),
         time.seconds,
-        scene.tensile.element,
-        scene.tensile.damage == "cell",
-        [scene.tensile.bottom_grip, scene.tensile.top_grip],
+        hold.tensile.element,
+        hold.tensile.damage == "cell",
+        [hold.tensile.bottom_grip, hold.tensile.top_grip],
         scene.alloy(alloy).material.q1,
     )
 
 
-def pull_hash(scene: Scene, alloy: str, time: ImmersionTime) -> str:
-    """What the tensile test of one alloy and time depends on."""
+def pull_hash(scene: Scene, alloy: str, time: ImmersionTime, hold: HoldScene) -> str:
+    """What the tensile test of one alloy and time in one way of holding depends on."""
     return stage_hash(
         "pull",
-        map_hash(scene, alloy, time),
+        map_hash(scene, alloy, time, hold),
         dataclasses.asdict(scene.alloy(alloy).material),
-        dataclasses.asdict(scene.tensile),
+        dataclasses.asdict(hold.tensile),
     )
 
 

@@ -1,4 +1,4 @@
-"""The table of a run: one row per alloy and immersion time."""
+"""The table of a run: one row per alloy, way of holding and immersion time."""
 
 import csv
 import io
@@ -11,15 +11,17 @@ from pipeline.scene.loads import LOADS
 
 @dataclass(frozen=True)
 class SummaryRow:
-    """One alloy after one immersion time.
+    """One alloy after one immersion time, held in one way.
 
-    volume_loss: V_L of the lattice, by mass, in [0, 1]; mean_corrosion_damage: volume mean of
-    f0 over the mesh; peak_reaction: largest force (N), torque or moment (N m), as `load` says;
-    strength_ratio: that over the one of the same alloy at time zero; strain_at_peak: nominal;
-    status: how the tensile test ended.
+    hold: name of the way of holding (pipeline.scene.holding); volume_loss: V_L of the
+    lattice, by mass, in [0, 1]; mean_corrosion_damage: volume mean of f0 over the mesh;
+    peak_reaction: largest force (N), torque or moment (N m), as `load` says; strength_ratio: that
+    over the one of the same alloy, held alike, at time zero; strain_at_peak: nominal; status: how
+    the test ended.
     """
 
     alloy: str
+    hold: str
     immersion_days: float
     volume_loss: float
     mean_corrosion_damage: float
@@ -33,7 +35,7 @@ class SummaryRow:
 def columns(load: str) -> dict[str, str]:
     """Column of summary.csv by field of a row; those of the peak are named by the load."""
     names = LOADS[load]
-    same = ("alloy", "immersion_days", "volume_loss", "mean_corrosion_damage")
+    same = ("alloy", "hold", "immersion_days", "volume_loss", "mean_corrosion_damage")
     return {
         **{name: name for name in same},
         "peak_reaction": names.peak,
@@ -67,7 +69,7 @@ def read_summary(path: Path) -> list[SummaryRow]:
         return [
             SummaryRow(
                 **{
-                    field: row[name] if field in ("alloy", "status") else float(row[name])
+                    field: row[name] if field in ("alloy", "hold", "status") else float(row[name])
                     for field, name in columns(load).items()
                 },
                 load=load,

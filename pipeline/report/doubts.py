@@ -2,13 +2,14 @@
 
 import numpy as np
 
-from pipeline.record.run_results import ImmersionResult, RunResults, column
+from pipeline.record.run_results import AlloyResult, ImmersionResult, RunResults, column
 from pipeline.report.wording import duration, percent
 from pipeline.scene.loads import LOADS
 from pipeline.scene.resolution import RESOLUTIONS, CorrosionError, Resolution, TensileError
-from pipeline.scene.resolve import DEFAULT_PARAMETER_SET, grip_length
+from pipeline.scene.resolve import DEFAULT_PARAMETER_SET
 from pipeline.scene.scene import (
     DomainSettings,
+    HoldScene,
     Scene,
     ScrewGeometry,
 )
@@ -31,10 +32,13 @@ def checks(run: RunResults) -> list[dict[str, str]]:
                 f"{np.nanmax(np.abs(error)):.0e}",
                 "largest share of the metal that appears or vanishes in the computation",
             )
+    everything = [alloy for alloys in run.held.values() for alloy in alloys]
     for alloy in run.alloys:
         differences = [
             (abs(item.map_numbers["relative_difference"]), item)
-            for item in alloy.immersions
+            for other in everything
+            if other.name == alloy.name
+            for item in other.immersions
             if isinstance(item.map_numbers.get("relative_difference"), int | float)
         ]
         if differences:
@@ -46,8 +50,8 @@ def checks(run: RunResults) -> list[dict[str, str]]:
                 "lattice to the mesh does to the damage",
             )
     estimates = [
-        (abs(left - pulled), left, pulled, f"{alloy.name} after {duration(item.seconds)}")
-        for alloy in run.alloys
+        (abs(left - pulled), left, pulled, _case(run, alloy, item))
+        for alloy in everything
         for item in alloy.immersions
         if item.summary is not None
         and item.seconds > 0
@@ -63,19 +67,19 @@ def checks(run: RunResults) -> list[dict[str, str]]:
             "part of it by 1 - q1 f0, over the same before immersion; no test is computed for it",
         )
     torn = [
-        (int(i.tensile.get("torn_cells", 0)), int(i.tensile.get("cells", 0)), a.name, i.label)
-        for a in run.alloys
+        (int(i.tensile.get("torn_cells", 0)), int(i.tensile.get("cells", 0)), _case(run, a, i))
+        for a in everything
         for i in a.immersions
     ]
     if max(torn, default=(0,))[0] > 0:
-        count, cells, name, label = max(torn)
+        count, cells, case = max(torn)
         add(
             f"Cells let go so that a {LOADS[run.scene.tensile.load].test} could go on",
             f"{count} of {cells:,}",
-            f"most in one test, {name} after {label}: drawn out to twice their length with at most "
+            f"most in one test, {case}: drawn out to twice their length with at most "
             "5 % of their strength, or to five times, where no increment found equilibrium",
         )
-    gaps = [(_energy_gap(i), f"{a.name} after {i.label}") for a in run.alloys for i in a.immersions]
+    gaps = [(_energy_gap(i), _case(run, a, i)) for a in everything for i in a.immersions]
     known = [pair for pair in gaps if pair[0] is not None]
     if known:
         worst, case = max(known)
@@ -85,6 +89,12 @@ def checks(run: RunResults) -> list[dict[str, str]]:
             f"largest difference, {case}: work of the grips against what is stored and dissipated",
         )
     return found
+
+
+def _case(run: RunResults, alloy: AlloyResult, item: ImmersionResult) -> str:
+    """Alloy, time and, where there are several ways of holding, the way, for a reader."""
+    held = f" ({alloy.hold})" if len(run.held) > 1 else ""
+    return f"{alloy.name} after {duration(item.seconds)}{held}"
 
 
 def _energy_gap(item: ImmersionResult) -> float | None:
@@ -102,7 +112,7 @@ def error_estimate(run: RunResults) -> str:
     estimate = run.scene_extras.get("error_estimate")
     if estimate:
         return str(estimate)
-    return f"{_volume_loss_error(run)} {_strength_error(run)}"
+    return f"{_volume_loss_error(run)} {' '.join(_strength_error(run, h) for h in run.scene.holds)}"
 
 
 def _corrosion_error(scene: Scene) -> CorrosionError | None:
@@ -118,16 +128,19 @@ def _corrosion_error(scene: Scene) -> CorrosionError | None:
     return preset.corrosion_error
 
 
-def _tensile_error(scene: Scene) -> TensileError | None:
-    """What was measured of the preset's mesh and increment, if the scene uses just these."""
+def _tensile_error(scene: Scene, hold: HoldScene) -> TensileError | None:
+    """What was measured of the preset's mesh and increment, if the test uses just these.
+
+    Only the shank of the reference screw was measured.
+    """
     preset = RESOLUTIONS.get(scene.resolution)
-    held = grip_length(scene.geometry, scene.lattice.horizon)
     if preset is None or not (
-        _alike(scene.lattice, preset, horizon="horizon")
-        and _alike(scene.mesh, preset, size="mesh_size", size_fine="mesh_size_fine")
-        and _alike(scene.tensile, preset, element="element", increment="increment")
-        and _default(scene.tensile, "damage", "damage_length", "final_strain", "lateral", "load")
-        and scene.tensile.bottom_grip == scene.tensile.top_grip == held
+        hold.name == "shank"
+        and scene.geometry == ScrewGeometry()
+        and _alike(scene.lattice, preset, horizon="horizon")
+        and _alike(hold.mesh, preset, size="mesh_size", size_fine="mesh_size_fine")
+        and _alike(hold.tensile, preset, element="element", increment="increment")
+        and _default(hold.tensile, "damage", "damage_length", "final_strain", "lateral", "load")
     ):
         return None
     return preset.tensile_error
@@ -168,8 +181,8 @@ def _volume_loss_error(run: RunResults) -> str:
     )
 
 
-def _strength_error(run: RunResults) -> str:
-    known = _tensile_error(run.scene)
+def _strength_error(run: RunResults, hold: HoldScene) -> str:
+    known = _tensile_error(run.scene, hold)
     if run.scene.tensile.load != "axial":
         return (
             "The discretisation error of the strength left has been measured of tensile tests "
@@ -177,15 +190,16 @@ def _strength_error(run: RunResults) -> str:
         )
     if known is None:
         return (
-            "The discretisation error of the strength left has not been measured for these grips, "
-            "mesh, element and increment, only for those of the presets."
+            f"The discretisation error of the strength left held by {hold.name} has not been "
+            "measured for this solid, mesh, element and increment, only for the shank of the "
+            "reference screw with those of the presets."
         )
     scene = run.scene
-    same = scene.geometry == ScrewGeometry() and all(a.name in known.alloys for a in scene.alloys)
+    same = all(a.name in known.alloys for a in scene.alloys)
     where = "" if same else ", not here"
     return (
-        f"The strength left is off by at most {percent(known.error, 1)} of its value because mesh "
-        "and increments of the tensile test are finite, measured up to "
+        f"The strength left of the shank is off by at most {percent(known.error, 1)} of its value "
+        "because mesh and increments of the tensile test are finite, measured up to "
         f"{known.latest} on the reference screw of {' and '.join(known.alloys)}{where}; "
         "what the error of the volume loss does to it comes on top."
     )
@@ -216,11 +230,11 @@ def in_short(run: RunResults, assumed: int) -> str:
     elif known is not None:
         most = max(known.of(alloy.name) for alloy in run.scene.alloys)
         error = f"discretisation error of the volume loss up to {percent(most, 1)}"
-        tensile = _tensile_error(run.scene)
+        tensile = _tensile_error(run.scene, run.scene.holds[0])
         if tensile is None:
             error += ", of the strength not measured for these settings"
         else:
-            error += f", of the strength left up to {percent(tensile.error, 1)}"
+            error += f", of the strength left of the shank up to {percent(tensile.error, 1)}"
     values = "value is" if assumed == 1 else "values are"
     seconds = sum(record.seconds for _, record in run.records)
     cost = f" The run took {format_seconds(seconds)}." if seconds else ""

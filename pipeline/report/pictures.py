@@ -314,6 +314,7 @@ def write_overview(run: RunResults, pictures: dict[tuple[str, str, str], Path], 
 
     from pipeline.report.plots import ALLOY_COLOURS, draw_strength
     from pipeline.report.wording import duration
+    from pipeline.scene.holding import HOLDINGS
     from pipeline.scene.loads import LOADS
     from pipeline.scene.units import parse_time
 
@@ -359,7 +360,9 @@ def write_overview(run: RunResults, pictures: dict[tuple[str, str, str], Path], 
     if tested:
         axes = right.subplots()
         right.subplots_adjust(left=0.15, right=0.96, bottom=bottom, top=top)
-        draw_strength(axes, run.alloys, ALLOY_COLOURS, LOADS[run.scene.tensile.load])
+        load = LOADS[run.scene.tensile.load]
+        for n, (hold, alloys) in enumerate(run.held.items()):
+            draw_strength(axes, alloys, ALLOY_COLOURS, load, way=(n, HOLDINGS[hold].part))
         axes.set_xlim(left=0)
         axes.grid(color="#dddddd", lw=0.6)
         axes.spines[["top", "right"]].set_visible(False)

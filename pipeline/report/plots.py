@@ -122,8 +122,9 @@ def strength_plot(
     alloys: Sequence[AlloyResult],
     names: LoadNames = LOADS["axial"],
     bands: Sequence[BandRow] = (),
+    hold: str = "shank",
 ) -> str:
-    """Peak over that of the intact solid against immersion time, all alloys, as SVG.
+    """Peak over that of the intact solid against immersion time, all alloys held alike, as SVG.
 
     bands: 5 to 95 % of the samples of the constants, shaded.
     """
@@ -135,13 +136,21 @@ def strength_plot(
     draw_strength(axes, alloys, colours=_SERIES, names=names)
     _finish(axes, zero=True, legend="upper right")
     title = f"{_capital(names.strength)} left in per cent against immersion time"
-    return _svg(figure, "strength", title)
+    return _svg(figure, f"strength-{hold}", title)
 
 
 def draw_strength(
-    axes: Axes, alloys: Sequence[AlloyResult], colours: Sequence[str], names: LoadNames
+    axes: Axes,
+    alloys: Sequence[AlloyResult],
+    colours: Sequence[str],
+    names: LoadNames,
+    way: tuple[int, str] | None = None,
 ) -> None:
-    """Draw strength left (%) against immersion time into `axes`; severed solids get a cross."""
+    """Draw strength left (%) against immersion time into `axes`; severed solids get a cross.
+
+    way: number and name of a way of holding where one drawing shows several: each has a line style
+    of its own and its name at the end of its lines.
+    """
     longest = max((i.seconds for a in alloys for i in a.immersions), default=1.0)
     second, unit = time_axis(longest)
     severed = []
@@ -152,7 +161,20 @@ def draw_strength(
             continue
         times = [i.seconds / second for i in known]
         ratios = [100 * i.strength_ratio for i in known]
-        axes.plot(times, ratios, lw=1.8, ms=5.5, label=alloy.name, clip_on=False, zorder=3, **style)
+        label = alloy.name
+        if way is not None:
+            style["ls"] = LINE_STYLES[way[0] % len(LINE_STYLES)]
+            label = alloy.name if way[0] == 0 else None
+        axes.plot(times, ratios, lw=1.8, ms=5.5, label=label, clip_on=False, zorder=3, **style)
+        if way is not None and n == len(alloys) - 1:
+            axes.annotate(
+                way[1],
+                (times[-1], ratios[-1]),
+                (0, 7),
+                textcoords="offset points",
+                ha="right",
+                fontsize=8.5,
+            )
         severed += [(t, r) for t, r in zip(times, ratios, strict=True) if r == 0.0]
     if severed:
         axes.plot(
@@ -189,7 +211,7 @@ def load_plot(alloy: AlloyResult, name: str, most: float, names: LoadNames = LOA
         axes.plot(along[peak], force[peak], "o", ms=4, color=shade)
     axes.set_xlabel(names.abscissa_title)
     axes.set_ylabel(f"{_capital(names.reaction)} ({names.shown_unit})")
-    axes.set_ylim(0, 1.05 * names.shown_factor * most)
+    axes.set_ylim(0, 1.05 * names.shown_factor * (most or 1.0))
     axes.set_xlim(left=0)
     _finish(axes, zero=False, legend="outside", columns=4)
     title = f"{_capital(names.reaction)} against {names.abscissa} of {alloy.name}"

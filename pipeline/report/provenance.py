@@ -48,6 +48,8 @@ _TITLES = {
     "samples": "Samples per axis and cell",
     "size": "Edge length",
     "size_fine": "Edge length at thread and slot",
+    "size_bottom": "Edge length at the bottom face",
+    "size_top": "Edge length at the top face",
     "kinetics": "Law of the rate",
     "dissolution": "Law of a bond between metal and liquid",
     "step": "Fixed time step",
@@ -59,7 +61,8 @@ _TITLES = {
 }
 _LENGTHS = (
     "diameter length pitch minor_diameter root_diameter slot_width slot_depth spacing horizon "
-    "radial_margin axial_margin size size_fine bottom_grip top_grip damage_length"
+    "radial_margin axial_margin size size_fine size_bottom size_top bottom_grip "
+    "top_grip damage_length"
 ).split()
 
 
@@ -223,9 +226,11 @@ def settings(scene: Scene) -> dict[str, list[tuple[str, str]]]:
         "Lattice": scene.lattice,
         "Liquid domain": scene.domain,
         "Corrosion solver": scene.corrosion,
-        "Mesh": scene.mesh,
-        LOADS[scene.tensile.load].test.capitalize(): scene.tensile,
     }
+    test = LOADS[scene.tensile.load].test.capitalize()
+    for hold in scene.holds:
+        which = f" ({hold.name})" if len(scene.holds) > 1 else ""
+        groups |= {f"Mesh{which}": hold.mesh, f"{test}{which}": hold.tensile}
     found = {}
     for group, choices in groups.items():
         values = {item.name: getattr(choices, item.name) for item in fields(choices)}

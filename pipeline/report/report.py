@@ -29,7 +29,16 @@ from pipeline.report import doubts, plots, provenance
 from pipeline.report.ions import ion_section
 from pipeline.report.picture_set import PictureSet, make_pictures, times_shown
 from pipeline.report.pictures import DAMAGE_COLOURS, MAXIMUM_DAMAGE, write_overview
-from pipeline.report.wording import duration, gathered, headline, percent, status_in_words
+from pipeline.report.wording import (
+    duration,
+    elsewhere,
+    gathered,
+    headline,
+    percent,
+    status_in_words,
+    until_it_gives_way,
+)
+from pipeline.scene.holding import HOLDINGS
 from pipeline.scene.loads import LOADS, LoadNames
 from pipeline.scene.scene import ScrewGeometry
 from pipeline.scene.units import format_bytes, format_length, format_seconds
@@ -97,10 +106,17 @@ def write_report(run_folder: Path | str) -> Path:
         solid=_solid_in_words(run),
         load=load,
         final_strain=percent(run.scene.tensile.final_strain),
-        headlines=[headline(alloy, load) for alloy in run.alloys],
+        deed=load.deed + until_it_gives_way(a for alloys in run.held.values() for a in alloys),
+        headlines=[_answer(run, alloy, load) for alloy in run.alloys],
+        holds=_holds(run),
+        hold_times=[duration(t.seconds) for t in run.scene.immersion if t.seconds > 0],
         parameter_set=_parameter_set(run),
         preset=doubts.settings_name(run.scene),
-        table=[_table_row(a, i) for a in run.alloys for i in a.immersions if i.summary],
+        tables=[
+            (HOLDINGS[name], found)
+            for name, alloys in run.held.items()
+            if (found := [_table_row(a, i) for a in alloys for i in a.immersions if i.summary])
+        ],
         pictures=_pictures(run, pictures),
         damage_ramp=_damage_ramp(),
         plots=_plots(run, measured, load, banded),
@@ -131,6 +147,43 @@ def write_report(run_folder: Path | str) -> Path:
     path = run.folder / REPORT_FILE
     write_text(path, page)
     return path
+
+
+def _answer(run: RunResults, alloy: AlloyResult, load: LoadNames) -> str:
+    others = [a for alloys in run.held.values() for a in alloys if a.name == alloy.name]
+    return f"{headline(alloy, load)} {elsewhere(a for a in others if a is not alloy)}".strip()
+
+
+def _holds(run: RunResults) -> list[dict[str, object]]:
+    """Each way of holding: its question, its grips, and what each alloy keeps by time."""
+    found = []
+    for hold in run.scene.holds:
+        words, test = HOLDINGS[hold.name], hold.tensile
+        depths = (_depth(test.bottom_grip), _depth(test.top_grip))
+        found.append(
+            {
+                "name": hold.name,
+                "part": words.part,
+                "question": words.question,
+                "grips": f"{words.grips} (bottom {depths[0]}, top {depths[1]})",
+                "alloys": [
+                    (
+                        alloy.name,
+                        [
+                            percent(item.strength_ratio) if item.strength_ratio is not None else "–"
+                            for item in alloy.immersions
+                            if item.seconds > 0
+                        ],
+                    )
+                    for alloy in run.held[hold.name]
+                ],
+            }
+        )
+    return found
+
+
+def _depth(length: float) -> str:
+    return format_length(length).replace("um", "µm") if length > 0 else "its face"
 
 
 def _solid_in_words(run: RunResults) -> str:
@@ -268,18 +321,30 @@ def _band_row(row: BandRow) -> dict[str, str]:
 def _plots(
     run: RunResults, measured: dict, load: LoadNames, banded: list[BandRow]
 ) -> dict[str, object]:
-    tested = [a for a in run.alloys if any(i.reaction is not None for i in a.immersions)]
-    forces = [i.reaction for a in run.alloys for i in a.immersions if i.reaction is not None]
+    everything = [a for alloys in run.held.values() for a in alloys]
+    tested = [a for a in everything if any(i.reaction is not None for i in a.immersions)]
+    forces = [i.reaction for a in everything for i in a.immersions if i.reaction is not None]
     most = max((float(np.nanmax(f)) for f in forces if len(f)), default=0.0)
     corroded = [a for a in run.alloys if a.history or any(i.summary for i in a.immersions)]
-    ratios = [i for a in run.alloys for i in a.immersions if i.strength_ratio is not None]
+    ratios = {
+        name: alloys
+        for name, alloys in run.held.items()
+        if any(i.strength_ratio is not None for a in alloys for i in a.immersions)
+    }
     return {
-        "strength": Markup(plots.strength_plot(run.alloys, load, banded)) if ratios else "",
+        "strength": [
+            (
+                HOLDINGS[name].part,
+                # bands are made from tests in the first way of holding
+                Markup(plots.strength_plot(alloys, load, banded * (not n), name)),
+            )
+            for n, (name, alloys) in enumerate(ratios.items())
+        ],
         "volume_loss": Markup(plots.volume_loss_plot(run.alloys, measured, banded))
         if corroded
         else "",
         "curves": [
-            (a.name, Markup(plots.load_plot(a, f"{n}", most or 1.0, load)))
+            (f"{a.name}, {HOLDINGS[a.hold].part}", Markup(plots.load_plot(a, f"{n}", most, load)))
             for n, a in enumerate(tested)
         ],
     }

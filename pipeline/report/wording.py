@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterable
 
 from pipeline.record.run_results import AlloyResult, column
+from pipeline.scene.holding import HOLDINGS
 from pipeline.scene.loads import LOADS, LoadNames
 
 STATUS_WORDS = {
@@ -15,7 +16,7 @@ STATUS_WORDS = {
 
 
 def headline(alloy: AlloyResult, names: LoadNames = LOADS["axial"]) -> str:
-    """The answer for one alloy in one sentence, from what was tested."""
+    """The answer for one alloy held in one way in one sentence, from what was tested."""
     tested = [i for i in alloy.immersions if i.strength_ratio is not None]
     immersed = [i for i in tested if i.seconds > 0]
     if not immersed:
@@ -43,11 +44,32 @@ def headline(alloy: AlloyResult, names: LoadNames = LOADS["axial"]) -> str:
     else:
         ending = f"{percent(last.strength_ratio)}{share} after {duration(last.seconds)}"
     parts.append(ending)
-    sentence = f"{alloy.name} keeps " + " and ".join(parts)
+    sentence = f"{alloy.name}: {HOLDINGS[alloy.hold].part} keeps " + " and ".join(parts)
     half = half_strength_time(alloy)
     if half is not None and not any(duration(half, rough=True) in part for part in parts):
         sentence += f"; half of it is gone after about {duration(half, rough=True)}"
     return sentence + "."
+
+
+def elsewhere(others: Iterable[AlloyResult]) -> str:
+    """The same alloy held in other ways: what it keeps after the last time, in one sentence."""
+    parts = []
+    for other in others:
+        tested = [i for i in other.immersions if i.strength_ratio is not None and i.seconds > 0]
+        if tested:
+            kept = percent(tested[-1].strength_ratio)
+            when = duration(tested[-1].seconds)
+            parts.append(f"{HOLDINGS[other.hold].part} {kept} after {when}")
+    return f"Held in another way, it keeps less or more: {', '.join(parts)}." if parts else ""
+
+
+def until_it_gives_way(alloys: Iterable[AlloyResult]) -> str:
+    """How far the tests went, in words: whether each solid gave way, or some, or none."""
+    states = [i.tensile.get("status", "") for a in alloys for i in a.immersions if i.tensile]
+    gave = [state in ("past_peak", "severed", "fully_corroded") for state in states]
+    if gave and all(gave):
+        return " until it gives way"
+    return ", some until they give way" if any(gave) else ""
 
 
 def _last_time(alloy: AlloyResult) -> str:

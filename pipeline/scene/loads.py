@@ -74,7 +74,7 @@ LOADS: dict[str, LoadNames] = {
     "axial": LoadNames(
         test="tensile test",
         strength="strength",
-        deed="a pull until it gives way",
+        deed="a pull",
         done="pulled",
         reaction="force",
         unit="N",
@@ -87,6 +87,6 @@ LOADS: dict[str, LoadNames] = {
         abscissa_factor=100.0,
         abscissa_title="Elongation (% of the length between the grips)",
     ),
-    "torsion": _turn("torsion", "torque", "a twist until it gives way", "twisted"),
-    "bending": _turn("bending", "moment", "bending until it gives way", "bent"),
+    "torsion": _turn("torsion", "torque", "a twist", "twisted"),
+    "bending": _turn("bending", "moment", "bending", "bent"),
 }

@@ -4,6 +4,7 @@ import argparse
 import dataclasses
 from pathlib import Path
 
+from pipeline.scene.holding import ALL as HOLDS
 from pipeline.scene.ions import (
     ACTIVITIES,
     CLOSURES,
@@ -15,15 +16,14 @@ from pipeline.scene.ions import (
     resolve_ions,
 )
 from pipeline.scene.loads import LOADS
+from pipeline.scene.mechanics import DAMAGE_UPDATES, LATERAL
 from pipeline.scene.rate_law import kinetics_in_words
 from pipeline.scene.resolution import RESOLUTIONS
 from pipeline.scene.scene import (
     BOUNDARIES,
     CALIBRATIONS,
-    DAMAGE_UPDATES,
     DISSOLUTION_LAWS,
     DOMAIN_SHAPES,
-    LATERAL,
     OMITTABLE,
     SATURATIONS,
     TIME_SCHEMES,
@@ -132,6 +132,13 @@ def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -
     tensile.add_argument("--mesh-size", metavar="LENGTH", help="edge length in the bulk")
     tensile.add_argument("--mesh-size-fine", metavar="LENGTH", help="at thread and slot")
     tensile.add_argument("--element", metavar="E")
+    tensile.add_argument(
+        "--hold",
+        nargs="+",
+        default=[],
+        metavar="H",
+        help=f"ways of holding it: {', '.join(HOLDS)}, all (shank: both ends, below what corrodes)",
+    )
     tensile.add_argument("--bottom-grip", metavar="LENGTH", help="held at the bottom (as the top)")
     tensile.add_argument(
         "--top-grip", metavar="LENGTH", help="held at the top (slot and horizon; 0mm: end face)"
@@ -212,6 +219,7 @@ def scene_from_options(options: argparse.Namespace) -> Scene:
         mesh_size_fine=length("mesh_size_fine"),
         domain=_domain(options),
         corrosion=corrosion,
+        hold=options.hold,
         tensile=tensile,
         measured_volume_loss=_measured(options),
         ions=_ions(options),

@@ -1,22 +1,27 @@
 """From names to numbers: builds the resolved scene out of presets, data files and options."""
 
+import dataclasses
 import hashlib
+from collections.abc import Sequence
 from pathlib import Path
 
 import perilife_data
 from fem.constitutive.hardening import fit_voce
+from pipeline.scene import holding
 from pipeline.scene.ions import IonSettings
 from pipeline.scene.rate_law import read_kinetics
-from pipeline.scene.resolution import resolution
+from pipeline.scene.resolution import Resolution, resolution
 from pipeline.scene.scene import (
     AlloyScene,
     CorrosionParameters,
     CorrosionSettings,
     DomainSettings,
+    HoldScene,
     LatticeSettings,
     MaterialParameters,
     MeshSettings,
     Scene,
+    SceneError,
     ScrewGeometry,
     SolidFile,
     TensileScene,
@@ -25,6 +30,9 @@ from pipeline.scene.solid_size import check_triangles
 from pipeline.scene.units import METRES_PER, parse_immersion_times
 
 DEFAULT_PARAMETER_SET = "table-5.1"
+PULLED_FACE_INCREMENT = 0.005
+"""Largest nominal strain increment where an end face is pulled, unless it is given."""
+
 SOLID_SUFFIXES = (".step", ".stp", ".brep", ".stl")
 
 
@@ -41,6 +49,7 @@ def resolve_scene(
     mesh_size_fine: float | None = None,
     domain: DomainSettings | None = None,
     corrosion: dict[str, object] | None = None,
+    hold: Sequence[str] = (),
     tensile: dict[str, object] | None = None,
     measured_volume_loss: dict[str, str] | None = None,
     ions: IonSettings | None = None,
@@ -49,9 +58,11 @@ def resolve_scene(
 
     alloys: names of shipped alloys or paths of TOML files; immersion: times as typed (`8w`);
     parameter_set: name of a shipped set or path of a TOML file; lengths in m where the
-    preset is not to be used; corrosion, tensile: fields of CorrosionSettings and
-    TensileScene that differ from their defaults; measured_volume_loss: CSV file per alloy,
-    plotted beside the result; ions: the medium (pipeline.scene.ions) where the model is nnpp.
+    preset is not to be used; hold: ways of holding (pipeline.scene.holding), the shank where
+    none is given; corrosion, tensile: fields of CorrosionSettings and TensileScene that differ
+    from their defaults, the latter for all ways of holding; measured_volume_loss: CSV file
+    per alloy, plotted beside the result; ions: the medium (pipeline.scene.ions) where the model is
+    nnpp.
 
     Raises ValueError or FileNotFoundError with one sentence for whatever cannot be computed.
     """
@@ -65,48 +76,80 @@ def resolve_scene(
     corrosion.setdefault("kernel_exponent", exponents.pop() if len(exponents) == 1 else 0.0)
     geometry = geometry or ScrewGeometry()
     horizon = preset.horizon if horizon is None else horizon
-    held = grip_length(geometry, horizon)
-    defaults = {
-        "element": preset.element,
-        "increment": preset.increment,
-        "bottom_grip": held,
-        "top_grip": held,
-    }
-    load = (tensile or {}).get("load", "axial")
-    if load != "axial":
-        defaults["lateral"] = "clamped"
-    if load == "bending":
-        defaults["bending_azimuth"] = 0.0
     size = preset.mesh_size if mesh_size is None else mesh_size
     fine = preset.mesh_size_fine if mesh_size_fine is None else mesh_size_fine
     if mesh_size_fine is None and mesh_size is not None:
         fine = min(fine, size)
-    spacing = preset.spacing if spacing is None else spacing
+    lattice = LatticeSettings(preset.spacing if spacing is None else spacing, horizon)
     return Scene(
         resolution=resolution_name,
         parameter_set=parameter_set,
         geometry=geometry,
         immersion=times,
         alloys=scenes,
-        lattice=LatticeSettings(spacing, horizon),
+        lattice=lattice,
         domain=domain or DomainSettings(boundary=parameters.scene.boundary),
         corrosion=CorrosionSettings(**corrosion),
-        mesh=MeshSettings(size, fine),
-        tensile=TensileScene(**{**defaults, **(tensile or {})}),
+        holds=_holds(
+            hold, geometry, lattice, preset, MeshSettings(size, fine), dict(tensile or {})
+        ),
         measured_volume_loss=dict(measured_volume_loss or {}),
         ions=ions,
     )
 
 
-def grip_length(geometry: ScrewGeometry | SolidFile, horizon: float) -> float:
-    """Length of either end that the grips hold unless the scene says otherwise (m).
+def _holds(
+    names: Sequence[str],
+    geometry: ScrewGeometry | SolidFile,
+    lattice: LatticeSettings,
+    preset: Resolution,
+    mesh: MeshSettings,
+    tensile: dict[str, object],
+) -> tuple[HoldScene, ...]:
+    """The ways of holding: those named, or the one with the depths that `tensile` gives.
 
-    The depth of the slot and, below it, a horizon: as deep as an end corrodes while its outermost
-    metal is still there; both ends alike, so that the middle is tested.  Grips on the end faces
-    pull off that crust instead (`pipeline/README.md`).
+    Where an end face is pulled the cells there are at most half a lattice spacing wide: wider ones
+    average the outermost layer, which has corroded, with the sound metal behind it.  Four-node
+    cells and small increments are then the default, since such a layer gives way early.
     """
-    screw = isinstance(geometry, ScrewGeometry)
-    return (geometry.parameters.slot_depth if screw else 0.0) + horizon
+    given = {"bottom_grip", "top_grip"} & set(tensile)
+    if given and names:
+        option = min(given).replace("_", "-")
+        raise SceneError(
+            f"hold is {' '.join(names)}; it must be left out where --{option} is given"
+        )
+    deep = holding.crust_depth(geometry, lattice.horizon)
+    if given:
+        depths = (float(tensile.get("bottom_grip", deep)), float(tensile.get("top_grip", deep)))
+        ways = {holding.named(depths, geometry, lattice.horizon): depths}
+    else:
+        asked = holding.asked_for(list(names) or ["shank"], geometry, lattice.horizon)
+        if len(set(asked)) < len(asked):
+            raise SceneError(f"hold is {' '.join(asked)}; it must be without repetition")
+        ways = {name: holding.grip_depths(name, geometry, lattice.horizon) for name in asked}
+    load = tensile.get("load", "axial")
+    holds = []
+    for name, (bottom, top) in ways.items():
+        faces = 0.0 in (bottom, top) and load == "axial"
+        defaults = {
+            "element": "P1" if faces else preset.element,
+            "increment": min(preset.increment, PULLED_FACE_INCREMENT)
+            if faces
+            else preset.increment,
+            "lateral": "free" if load == "axial" else "clamped",
+            "bending_azimuth": 0.0 if load == "bending" else None,
+        }
+        depths = {"bottom_grip": bottom, "top_grip": top}
+        layer = lattice.spacing / 2
+        ends = [layer if depth == 0.0 and layer < mesh.size else None for depth in (bottom, top)]
+        holds.append(
+            HoldScene(
+                name,
+                dataclasses.replace(mesh, size_bottom=ends[0], size_top=ends[1]),
+                TensileScene(**{**defaults, **tensile, **depths}),
+            )
+        )
+    return tuple(holds)
 
 
 def solid_file(path: str | Path, unit: str) -> SolidFile:

@@ -12,17 +12,17 @@ import types
 import typing
 from dataclasses import dataclass, field
 
-from fem.quadrature import ELEMENTS
 from peri.engine.stepping import SCHEMES as TIME_SCHEMES
 from perilife_data import did_you_mean
 from perilife_data.limits import LARGEST_YIELD_STRAIN
+from pipeline.scene.checks import SceneError, at_most, check, one_of, positive
 from pipeline.scene.ions import IonSettings
-from pipeline.scene.loads import LOADS
+from pipeline.scene.mechanics import HoldScene, MeshSettings, TensileScene
 from pipeline.scene.rate_law import read_kinetics
 from pipeline.scene.screw import ScrewParameters
 from pipeline.scene.units import ImmersionTime, format_length
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 YEAR = 365.25 * 86400.0
 LONGEST_IMMERSION = 100 * YEAR
 """Seconds; longer than a person carries an implant is a slip in a unit."""
@@ -35,32 +35,6 @@ OMITTABLE = ("liquid", "far_liquid")
 """What a march can be kept from leaving out; as in peri.omissions.planning, slow to import."""
 
 CALIBRATIONS = ("discrete", "closed")
-LATERAL = ("free", "clamped")
-DAMAGE_UPDATES = ("cell", "point", "implicit")
-"""How f grows; named as in fem.settings, which is slow to import."""
-
-
-class SceneError(ValueError):
-    """A scene that cannot be computed; the message names field, value and what is allowed."""
-
-
-def _check(condition: bool, name: str, value: object, allowed: str) -> None:
-    if not condition:
-        raise SceneError(f"{name} is {value}; it must be {allowed}")
-
-
-def at_most(value: float, limit: float) -> bool:
-    """Whether a value is at most a positive limit, or above it by round-off only."""
-    return value <= limit * (1.0 + 1e-9)
-
-
-def _positive(name: str, value: float) -> None:
-    _check(math.isfinite(value) and value > 0, name, value, "a finite number above 0")
-
-
-def _one_of(name: str, value: str, allowed: tuple[str, ...]) -> None:
-    near = did_you_mean(value, allowed)
-    _check(value in allowed, name, f"'{value}'{near}", f"one of {', '.join(allowed)}")
 
 
 @dataclass(frozen=True)
@@ -91,15 +65,15 @@ class LatticeSettings:
     samples: int = 4
 
     def __post_init__(self) -> None:
-        _positive("lattice spacing", self.spacing)
+        positive("lattice spacing", self.spacing)
         ratio = self.horizon / self.spacing
-        _check(
+        check(
             0.999 <= ratio <= 8.001,
             "horizon",
             format_length(self.horizon),
             f"1 to 8 lattice spacings of {format_length(self.spacing)}",
         )
-        _check(1 <= self.samples <= 16, "samples per axis", self.samples, "1 to 16")
+        check(1 <= self.samples <= 16, "samples per axis", self.samples, "1 to 16")
 
 
 @dataclass(frozen=True)
@@ -118,10 +92,10 @@ class DomainSettings:
     boundary: str = "refreshed"
 
     def __post_init__(self) -> None:
-        _one_of("domain shape", self.shape, DOMAIN_SHAPES)
-        _one_of("boundary", self.boundary, BOUNDARIES)
-        _positive("radial margin", self.radial_margin)
-        _positive("axial margin", self.axial_margin)
+        one_of("domain shape", self.shape, DOMAIN_SHAPES)
+        one_of("boundary", self.boundary, BOUNDARIES)
+        positive("radial margin", self.radial_margin)
+        positive("axial margin", self.axial_margin)
 
 
 @dataclass(frozen=True)
@@ -149,29 +123,29 @@ class CorrosionSettings:
 
     def __post_init__(self) -> None:
         if self.step is not None:
-            _positive("corrosion step", self.step)
-        _check(0 <= self.tolerance < 1, "tolerance", self.tolerance, "in [0, 1)")
+            positive("corrosion step", self.step)
+        check(0 <= self.tolerance < 1, "tolerance", self.tolerance, "in [0, 1)")
         for name in self.keep:
-            _one_of("keep", name, OMITTABLE)
-        _check(0 < self.rate_change <= 1, "rate change", self.rate_change, "in (0, 1]")
-        _one_of("time scheme", self.scheme, TIME_SCHEMES)
-        _one_of("saturation", self.saturation, SATURATIONS)
-        _one_of("dissolution", self.dissolution, DISSOLUTION_LAWS)
+            one_of("keep", name, OMITTABLE)
+        check(0 < self.rate_change <= 1, "rate change", self.rate_change, "in (0, 1]")
+        one_of("time scheme", self.scheme, TIME_SCHEMES)
+        one_of("saturation", self.saturation, SATURATIONS)
+        one_of("dissolution", self.dissolution, DISSOLUTION_LAWS)
         try:
             read_kinetics(self.kinetics)
         except ValueError as error:
             raise SceneError(str(error)) from None
         if self.saturation == "as_published":
             implicit = "backward_euler or forward_euler where saturation is as_published"
-            _check(self.scheme != "sdirk2", "time scheme", self.scheme, implicit)
+            check(self.scheme != "sdirk2", "time scheme", self.scheme, implicit)
         if self.dissolution == "faradaic":
             bounded = "complementarity or none where dissolution is faradaic"
-            _check(self.saturation != "as_published", "saturation", self.saturation, bounded)
+            check(self.saturation != "as_published", "saturation", self.saturation, bounded)
             implicit = "sdirk2 or backward_euler where dissolution is faradaic"
-            _check(self.scheme != "forward_euler", "time scheme", self.scheme, implicit)
-        _one_of("calibration", self.calibration, CALIBRATIONS)
-        _one_of("influence function", self.influence, ("constant", "linear"))
-        _check(0 <= self.kernel_exponent < 1, "kernel exponent", self.kernel_exponent, "in [0, 1)")
+            check(self.scheme != "forward_euler", "time scheme", self.scheme, implicit)
+        one_of("calibration", self.calibration, CALIBRATIONS)
+        one_of("influence function", self.influence, ("constant", "linear"))
+        check(0 <= self.kernel_exponent < 1, "kernel exponent", self.kernel_exponent, "in [0, 1)")
 
 
 @dataclass(frozen=True)
@@ -196,9 +170,9 @@ class CorrosionParameters:
     def __post_init__(self) -> None:
         for name in dataclasses.fields(self):
             if name.name != "calibration":
-                _positive(name.name.replace("_", " "), getattr(self, name.name))
-        _one_of("calibration", self.calibration, CALIBRATIONS)
-        _check(
+                positive(name.name.replace("_", " "), getattr(self, name.name))
+        one_of("calibration", self.calibration, CALIBRATIONS)
+        check(
             self.saturation_concentration < self.solid_concentration,
             "saturation concentration",
             f"{self.saturation_concentration} mol/m^3",
@@ -218,20 +192,20 @@ class MaterialParameters:
     q1: float = 1.5
 
     def __post_init__(self) -> None:
-        _positive("Young modulus", self.young_modulus)
-        _check(
+        positive("Young modulus", self.young_modulus)
+        check(
             -1 < self.poisson_ratio < 0.5,
             "Poisson ratio",
             self.poisson_ratio,
             "above -1 and below 0.5",
         )
-        _positive("initial yield stress", self.initial_yield_stress)
+        positive("initial yield stress", self.initial_yield_stress)
         capacity = self.hardening_capacity
         finite = math.isfinite(capacity) and capacity >= 0
-        _check(finite, "hardening capacity", capacity, "a finite number, at least 0")
-        _positive("hardening rate", self.hardening_rate)
-        _check(1 < self.q1 < 10, "q1", self.q1, "above 1 and below 10")
-        _check(
+        check(finite, "hardening capacity", capacity, "a finite number, at least 0")
+        positive("hardening rate", self.hardening_rate)
+        check(1 < self.q1 < 10, "q1", self.q1, "above 1 and below 10")
+        check(
             at_most(self.initial_yield_stress, LARGEST_YIELD_STRAIN * self.young_modulus),
             "initial yield stress",
             f"{self.initial_yield_stress:g} Pa",
@@ -249,7 +223,7 @@ class AlloyScene:
     source: str = ""
 
     def __post_init__(self) -> None:
-        _check(
+        check(
             bool(self.name) and "/" not in self.name and not self.name.startswith("."),
             "alloy name",
             f"'{self.name}'",
@@ -258,91 +232,11 @@ class AlloyScene:
 
 
 @dataclass(frozen=True)
-class MeshSettings:
-    """Edge length of the tetrahedra in the bulk and at thread and slot (m)."""
-
-    size: float
-    size_fine: float
-
-    def __post_init__(self) -> None:
-        _positive("mesh size", self.size)
-        _positive("fine mesh size", self.size_fine)
-        _check(
-            at_most(self.size_fine, self.size),
-            "fine mesh size",
-            format_length(self.size_fine),
-            f"at most the mesh size, {format_length(self.size)}",
-        )
-
-
-@dataclass(frozen=True)
-class TensileScene:
-    """The mechanical test: load, element, nominal strain at the end, largest increment, grips.
-
-    load: the top grip is pulled ("axial"), turned about the axis ("torsion") or about a lateral
-    axis ("bending") at the angle bending_azimuth (rad) from x, None where nothing is bent; nominal
-    strain is then that of the surface, angle times radius over length, and the grips hold fully.
-    The length of a strain is that between the grips.
-    bottom_grip, top_grip: held lengths at the ends (m), 0 holds the end faces only; lateral:
-    whether grips leave lateral motion free; peak_drop: the test ends when the force (torque,
-    moment) has fallen by this fraction below its peak, or at the final strain; 1 asks for the
-    whole curve; damage, damage_length: how f grows and over which length (m) its growth is
-    averaged (fem.settings).
-    """
-
-    element: str = "P2"
-    final_strain: float = 0.10
-    increment: float = 0.005
-    bottom_grip: float = 0.0
-    top_grip: float = 0.0
-    lateral: str = "free"
-    peak_drop: float = 0.05
-    damage: str = "cell"
-    damage_length: float = 0.0
-    load: str = "axial"
-    bending_azimuth: float | None = None
-
-    def __post_init__(self) -> None:
-        _one_of("element", self.element, tuple(ELEMENTS))
-        _one_of("lateral", self.lateral, LATERAL)
-        _one_of("load", self.load, tuple(LOADS))
-        _check(
-            self.load == "axial" or self.lateral == "clamped",
-            "lateral",
-            f"'{self.lateral}'",
-            f"clamped where the load is {self.load}, which only grips that hold fully can apply",
-        )
-        azimuth = self.bending_azimuth
-        _check(
-            azimuth is None or self.load == "bending",
-            "bending azimuth",
-            None if azimuth is None else f"{math.degrees(azimuth):g}deg",
-            f"left out where the load is {self.load}",
-        )
-        _check(azimuth is None or math.isfinite(azimuth), "bending azimuth", azimuth, "finite")
-        _one_of("damage", self.damage, DAMAGE_UPDATES)
-        _check(0 < self.peak_drop <= 1, "peak drop", self.peak_drop, "in (0, 1]")
-        _check(
-            self.damage_length == 0 or self.damage == "cell",
-            "damage",
-            self.damage,
-            "cell where a damage length is given",
-        )
-        for name in ("bottom_grip", "top_grip", "damage_length"):
-            value = getattr(self, name)
-            _check(math.isfinite(value) and value >= 0, name.replace("_", " "), value, "at least 0")
-        _check(0 < self.final_strain <= 1, "final strain", self.final_strain, "in (0, 1]")
-        _check(
-            0 < self.increment and at_most(self.increment, self.final_strain),
-            "tensile increment",
-            self.increment,
-            f"above 0 and at most the final strain, {self.final_strain}",
-        )
-
-
-@dataclass(frozen=True)
 class Scene:
-    """Every number of a run, SI; `resolution` and `parameter_set` only say where from."""
+    """Every number of a run, SI; `resolution` and `parameter_set` only say where from.
+
+    holds: the ways of holding in which each corroded solid is tested, all with one load.
+    """
 
     resolution: str
     parameter_set: str
@@ -352,35 +246,39 @@ class Scene:
     lattice: LatticeSettings
     domain: DomainSettings
     corrosion: CorrosionSettings
-    mesh: MeshSettings
-    tensile: TensileScene
+    holds: tuple[HoldScene, ...]
     measured_volume_loss: dict[str, str] = field(default_factory=dict)
     ions: IonSettings | None = None
     schema_version: int = SCHEMA_VERSION
 
     def __post_init__(self) -> None:
-        _check(bool(self.alloys), "list of alloys", "empty", "at least one alloy")
+        check(bool(self.alloys), "list of alloys", "empty", "at least one alloy")
         names = [alloy.name for alloy in self.alloys]
-        _check(len(set(names)) == len(names), "list of alloys", names, "without repetition")
-        _check(bool(self.immersion), "list of immersion times", "empty", "at least one time")
+        check(len(set(names)) == len(names), "list of alloys", names, "without repetition")
+        check(bool(self.immersion), "list of immersion times", "empty", "at least one time")
         seconds = [time.seconds for time in self.immersion]
-        _check(
+        check(
             seconds[0] >= 0 and all(a < b for a, b in zip(seconds, seconds[1:], strict=False)),
             "list of immersion times",
             [time.label for time in self.immersion],
             "at least 0 and rising",
         )
         last = self.immersion[-1]
-        _check(
+        check(
             last.seconds <= LONGEST_IMMERSION,
             "immersion time",
             f"{last.label}, {last.seconds / YEAR:.4g} years",
             f"at most {LONGEST_IMMERSION / YEAR:g} years",
         )
+        check(bool(self.holds), "list of ways of holding", "empty", "at least one")
+        ways = [hold.name for hold in self.holds]
+        check(len(set(ways)) == len(ways), "list of ways of holding", ways, "without repetition")
+        loads = sorted({hold.tensile.load for hold in self.holds})
+        check(len(loads) == 1, "load", " and ".join(loads), "one for all ways of holding")
         least = self.lattice.horizon + self.lattice.spacing
         for name in ("radial_margin", "axial_margin"):
             margin = getattr(self.domain, name)
-            _check(
+            check(
                 at_most(least, margin) or self.domain.boundary != "refreshed",
                 name.replace("_", " "),
                 format_length(margin),
@@ -388,18 +286,48 @@ class Scene:
             )
 
         if self.ions is not None:
-            _check(
+            check(
                 self.domain.boundary == "refreshed",
                 "boundary",
                 f"'{self.domain.boundary}'",
                 "refreshed where the model is nnpp, whose ions need a way out",
             )
-            _check(
+            check(
                 self.corrosion.dissolution == "proportional",
                 "dissolution",
                 f"'{self.corrosion.dissolution}'",
                 "proportional where the model is nnpp",
             )
+
+    @property
+    def mesh(self) -> MeshSettings:
+        """The mesh of the first way of holding, which pictures show."""
+        return self.holds[0].mesh
+
+    @property
+    def tensile(self) -> TensileScene:
+        """The test of the first way of holding; the load is that of all."""
+        return self.holds[0].tensile
+
+    def meshes(self) -> dict[str, MeshSettings]:
+        """The distinct meshes by their folder below that of the geometry, "" for the first."""
+        found: dict[str, MeshSettings] = {}
+        for hold in self.holds:
+            if hold.mesh not in found.values():
+                found[hold.name if found else ""] = hold.mesh
+        return found
+
+    def mesh_folder(self, hold: HoldScene) -> str:
+        """The folder below that of the geometry with the mesh of a way of holding."""
+        return next(folder for folder, mesh in self.meshes().items() if mesh == hold.mesh)
+
+    def hold(self, name: str) -> HoldScene:
+        """The way of holding called `name`; SceneError names those of the scene."""
+        for hold in self.holds:
+            if hold.name == name:
+                return hold
+        known = ", ".join(hold.name for hold in self.holds)
+        raise SceneError(f"hold '{name}' is not part of this run; it has {known}")
 
     def alloy(self, name: str) -> AlloyScene:
         """The alloy called `name`; SceneError names those of the scene."""
@@ -449,7 +377,7 @@ def scene_from_json(content: dict) -> Scene:
     if not isinstance(content, dict):
         raise SceneError("scene file does not hold a JSON object, which it must")
     version = content.get("schema_version")
-    _check(version == SCHEMA_VERSION, "schema version of the scene", version, f"{SCHEMA_VERSION}")
+    check(version == SCHEMA_VERSION, "schema version of the scene", version, f"{SCHEMA_VERSION}")
     return _build(Scene, content, "scene")
 
 
@@ -462,18 +390,18 @@ def _build(kind: typing.Any, value: typing.Any, where: str) -> typing.Any:
             return None if value is None else _build(options[0], value, where)
         tags = {option.kind: option for option in options}
         tag = value.get("kind") if isinstance(value, dict) else None
-        _check(tag in tags, f"kind of {where}", tag, f"one of {', '.join(tags)}")
+        check(tag in tags, f"kind of {where}", tag, f"one of {', '.join(tags)}")
         return _build(tags[tag], value, where)
     if origin is tuple:
-        _check(isinstance(value, list), where, value, "a list")
+        check(isinstance(value, list), where, value, "a list")
         inner = typing.get_args(kind)[0]
         return tuple(_build(inner, item, f"{where}[{n}]") for n, item in enumerate(value))
     if dataclasses.is_dataclass(kind):
-        _check(isinstance(value, dict), where, value, "an object")
+        check(isinstance(value, dict), where, value, "an object")
         hints = typing.get_type_hints(kind)
         for name in sorted(set(value) - set(hints)):
             near = did_you_mean(name, hints)
-            _check(False, f"field '{name}' of {where}", f"unknown{near}", "left out")
+            check(False, f"field '{name}' of {where}", f"unknown{near}", "left out")
         missing = sorted(
             f.name
             for f in dataclasses.fields(kind)
@@ -481,13 +409,13 @@ def _build(kind: typing.Any, value: typing.Any, where: str) -> typing.Any:
             and f.default is dataclasses.MISSING
             and f.default_factory is dataclasses.MISSING
         )
-        _check(not missing, f"field '{', '.join(missing)}' of {where}", "missing", "given")
+        check(not missing, f"field '{', '.join(missing)}' of {where}", "missing", "given")
         return kind(**{k: _build(hints[k], v, f"{where}.{k}") for k, v in value.items()})
     if kind is float:
         number = isinstance(value, int | float) and not isinstance(value, bool)
-        _check(number, where, repr(value), "a number")
+        check(number, where, repr(value), "a number")
         return float(value)
     if kind in (int, str, bool):
         exact = type(value) is kind
-        _check(exact, where, repr(value), f"of type {kind.__name__}")
+        check(exact, where, repr(value), f"of type {kind.__name__}")
     return value

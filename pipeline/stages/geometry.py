@@ -52,22 +52,36 @@ def build_solid(scene: Scene) -> Solid:
 def write_geometry(
     scene: Scene, folder: Path, solid: Solid | None = None
 ) -> tuple[list[Path], dict[str, object]]:
-    """Write solid, surface, mesh and geometry.json; returns the files and the main numbers."""
+    """Write solid, surface, meshes and geometry.json; returns the files and the main numbers.
+
+    The first way of holding has its mesh in the folder itself, one with another mesh in a folder of
+    its name.
+    """
     from pipeline.geometry import solids
 
     solid = solid if solid is not None else build_solid(scene)
-    with _signals_kept():
-        mesh = solids.tetrahedral_mesh(solid, scene.mesh.size, scene.mesh.size_fine)
-    write_mesh(mesh, folder)
+    meshes = {}
+    for name, sizes in scene.meshes().items():
+        with _signals_kept():
+            meshes[name] = solids.tetrahedral_mesh(
+                solid, sizes.size, sizes.size_fine, sizes.size_ends
+            )
+        (folder / name).mkdir(exist_ok=True)
+        write_mesh(meshes[name], folder / name)
+    mesh = meshes[""]
     write_surface(folder, solid)
     if solid.cad:
         write_text(folder / CAD_FILE, solid.cad)
     numbers = {name: getattr(solid, name) for name in _NUMBERS}
     numbers |= {"bounding_box": solid.bounding_box, "mesh_volume": mesh.quality["volume"]}
-    write_json(folder / CHECKS_FILE, {"name": solid.name, **numbers, "mesh": mesh.quality})
+    others = {name: other.quality for name, other in meshes.items() if name}
+    checks = {"name": solid.name, **numbers, "mesh": mesh.quality, "other_meshes": others}
+    write_json(folder / CHECKS_FILE, checks)
     numbers |= {name: mesh.quality[name] for name in ("cells", "points", "min_shape")}
-    names = (SURFACE_FILE, MESH_FILE, MESH_PICTURE, CHECKS_FILE, *[CAD_FILE] * bool(solid.cad))
-    return [folder / name for name in names], numbers
+    names = [SURFACE_FILE, CHECKS_FILE, *[CAD_FILE] * bool(solid.cad)]
+    files = [folder / name for name in names]
+    files += [folder / name / file for name in meshes for file in (MESH_FILE, MESH_PICTURE)]
+    return files, numbers
 
 
 def write_surface(folder: Path, solid: Solid) -> None:

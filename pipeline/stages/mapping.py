@@ -9,7 +9,7 @@ import numpy as np
 from fem.quadrature import quadrature_points, sampling_points
 from peri.corrosion.results import read_corrosion
 from pipeline.geometry.mesh import read_mesh
-from pipeline.scene.scene import Scene
+from pipeline.scene.scene import HoldScene, Scene
 from pipeline.scene.units import ImmersionTime
 from pipeline.stages.corrosion import CORROSION_FILE
 from pipeline.stages.damage_map import compare_lost_volume, map_damage, net_section
@@ -19,23 +19,30 @@ SCHEMA_VERSION = 1
 
 
 def map_in_folder(
-    scene: Scene, alloy: str, moment: ImmersionTime, geometry: Path, corrosion: Path, out: Path
+    scene: Scene,
+    alloy: str,
+    moment: ImmersionTime,
+    hold: HoldScene,
+    geometry: Path,
+    corrosion: Path,
+    out: Path,
 ) -> tuple[list[Path], dict[str, object]]:
     """Map the field of one immersion time and write damage.h5; returns the files and numbers.
 
-    The numbers hold the mean of f0 over the mesh, the volumes lost on lattice and mesh, the latter
-    before f0 is cut off at 1/q1, and what is left of the smallest net section between the grips.
+    geometry: folder with the mesh of this way of holding.  The numbers hold the mean of f0 over
+    the mesh, the volumes lost on lattice and mesh, the latter before f0 is cut off at 1/q1, and
+    what is left of the smallest net section between the grips.
     """
     mesh = read_mesh(geometry)
     fields = read_corrosion(corrosion / CORROSION_FILE)
     number = int(np.flatnonzero(fields["times"] == moment.seconds)[0])
     material = scene.alloy(alloy).material
     solid = float(fields["solid_concentration"])
-    one_per_cell = scene.tensile.damage == "cell"
+    one_per_cell = hold.tensile.damage == "cell"
     if one_per_cell:  # the field varies within a cell; one point in it misses a tenth of the loss
         points, weights = sampling_points(mesh.points, mesh.cells)
     else:
-        points, weights = quadrature_points(mesh.points, mesh.cells, scene.tensile.element)
+        points, weights = quadrature_points(mesh.points, mesh.cells, hold.tensile.element)
     lattice = (fields["lattice/origin"], fields["lattice/spacing"])
     concentration, metal = fields["concentration"][number], fields["metal"]
 
@@ -49,17 +56,17 @@ def map_in_folder(
         "mean_corrosion_damage": float((damage * weights).sum() / volume),
         "maximum_corrosion_damage": float(damage.max()),
         "volume_share_at_maximum": float(weights[damage >= maximum - 1e-12].sum() / volume),
-        "net_section_left": _net_section_left(scene, mesh.points, fields, number, solid, maximum),
+        "net_section_left": _net_section_left(hold, mesh.points, fields, number, solid, maximum),
         **lost,
     }
     if one_per_cell:
         damage = ((damage * weights).sum(axis=1) / weights.sum(axis=1))[:, None]
-    write_damage(out / DAMAGE_FILE, damage, moment, scene.tensile.element)
+    write_damage(out / DAMAGE_FILE, damage, moment, hold.tensile.element)
     return [out / DAMAGE_FILE], numbers
 
 
 def _net_section_left(
-    scene: Scene, points: np.ndarray, fields: dict, number: int, solid: float, maximum: float
+    hold: HoldScene, points: np.ndarray, fields: dict, number: int, solid: float, maximum: float
 ) -> float | None:
     """Smallest net section between the grips over that of the intact solid; None without a layer.
 
@@ -67,8 +74,8 @@ def _net_section_left(
     """
     spacing, metal = fields["lattice/spacing"], fields["metal"]
     height = fields["lattice/origin"][2] + spacing[2] * np.arange(metal.shape[2])
-    low = points[:, 2].min() + scene.tensile.bottom_grip
-    high = points[:, 2].max() - scene.tensile.top_grip
+    low = points[:, 2].min() + hold.tensile.bottom_grip
+    high = points[:, 2].max() - hold.tensile.top_grip
     between = (low <= height) & (height <= high)
     if not between.any():
         return None

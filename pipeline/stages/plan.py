@@ -13,7 +13,7 @@ from peri.engine.influence import diffusion_stencil
 from pipeline.geometry.surface import Solid
 from pipeline.record import machine
 from pipeline.scene.loads import LOADS
-from pipeline.scene.scene import OMITTABLE, Scene, SceneError, ScrewGeometry
+from pipeline.scene.scene import OMITTABLE, HoldScene, Scene, SceneError, ScrewGeometry
 from pipeline.scene.units import format_bytes, format_length, format_seconds
 from pipeline.stages.corrosion import domain_lattice, liquid_domain, march_omissions
 
@@ -108,15 +108,16 @@ def make_plan(
         solid = build_solid(scene)
     check_sizes(scene, solid)
     nodes, metal, bonds = _lattice_counts(scene, solid)
-    cells, unknowns, quadrature = _mesh_counts(scene, solid)
+    counts = [_mesh_counts(scene, solid, hold) for hold in scene.holds]
+    cells, unknowns, quadrature = (max(numbers) for numbers in zip(*counts, strict=True))
     workers = workers or machine.processor_cores()
     times = scene.with_intact()
-    pulls = len(scene.alloys) * len(times)
+    pulls = len(scene.alloys) * len(times)  # in each way of holding
     tasks = [
         Task(
             "geometry",
             solid.name,
-            f"about {cells:,} tetrahedra of {format_length(scene.mesh.size_fine)} to "
+            f"about {cells:,} tetrahedra of {format_length(_smallest(scene))} to "
             f"{format_length(scene.mesh.size)}",
             COST.solid_seconds + COST.mesh_seconds_per_cell * cells,
             BASE_MEMORY + 2e3 * cells,
@@ -140,25 +141,27 @@ def make_plan(
     tasks.append(
         Task(
             "map",
-            f"{pulls} damage maps",
+            f"{pulls * len(counts)} damage maps",
             f"{quadrature:,} quadrature points each",
-            COST.map_seconds_per_cell * cells * pulls,
+            COST.map_seconds_per_cell * sum(count[0] for count in counts) * pulls,
             BASE_MEMORY + 100.0 * quadrature,
-            8.0 * quadrature * pulls,
+            8.0 * sum(count[2] for count in counts) * pulls,
         )
     )
     at_once = min(workers, pulls)
-    increments = 4 + scene.tensile.final_strain / scene.tensile.increment  # the first are smaller
-    tasks.append(
-        Task(
-            "pull",
-            f"{pulls} {LOADS[scene.tensile.load].test}s, {at_once} at a time",
-            f"{unknowns:,} unknowns each ({scene.tensile.element})",
-            COST.tensile_seconds_per_unknown * unknowns * increments * -(-pulls // at_once),
-            at_once * (BASE_MEMORY + COST.tensile_bytes_per_unknown * unknowns),
-            COST.disk_bytes_per_unknown * unknowns * pulls,
+    for hold, (_, each, _) in zip(scene.holds, counts, strict=True):
+        test = hold.tensile
+        increments = 4 + test.final_strain / test.increment  # the first are smaller
+        tasks.append(
+            Task(
+                "pull",
+                f"{pulls} {LOADS[test.load].test}s ({hold.name}), {at_once} at a time",
+                f"{each:,} unknowns each ({test.element})",
+                COST.tensile_seconds_per_unknown * each * increments * -(-pulls // at_once),
+                at_once * (BASE_MEMORY + COST.tensile_bytes_per_unknown * each),
+                COST.disk_bytes_per_unknown * each * pulls,
+            )
         )
-    )
     return Plan(
         tasks=tuple(tasks),
         omissions=tuple(
@@ -196,15 +199,16 @@ def check_sizes(scene: Scene, solid: Solid) -> None:
 
     Between the grips there must be two edges of the mesh at least.
     """
-    test, length = scene.tensile, float(np.ptp(solid.points[:, 2]))
-    held = test.bottom_grip + test.top_grip
-    if held > length - 2.0 * scene.mesh.size:
-        raise SceneError(
-            f"the grips hold {format_length(test.bottom_grip)} and {format_length(test.top_grip)} "
-            f"(--bottom-grip, --top-grip); together it must be at most "
-            f"{format_length(max(length - 2.0 * scene.mesh.size, 0.0))}, the length of the "
-            f"{solid.name} less two edges of the mesh"
-        )
+    length = float(np.ptp(solid.points[:, 2]))
+    for hold in scene.holds:
+        grips = (hold.tensile.bottom_grip, hold.tensile.top_grip)
+        if sum(grips) > length - 2.0 * hold.mesh.size:
+            raise SceneError(
+                f"the grips hold {format_length(grips[0])} and {format_length(grips[1])} "
+                f"(--bottom-grip, --top-grip); together it must be at most "
+                f"{format_length(max(length - 2.0 * hold.mesh.size, 0.0))}, the length of the "
+                f"{solid.name} less two edges of the mesh"
+            )
     limit = solid.smallest_feature / CELLS_PER_FEATURE
     if scene.lattice.spacing > limit * (1 + 1e-9):
         raise SceneError(
@@ -293,17 +297,31 @@ def _lattice_counts(scene: Scene, solid: Solid) -> tuple[int, int, int]:
     return nodes, metal, stencil.bonds
 
 
-def _mesh_counts(scene: Scene, solid: Solid) -> tuple[int, int, int]:
+def _smallest(scene: Scene) -> float:
+    """The smallest edge length of all meshes (m)."""
+    return min(
+        size
+        for mesh in scene.meshes().values()
+        for size in (mesh.size_fine, *mesh.size_ends)
+        if size is not None
+    )
+
+
+def _mesh_counts(scene: Scene, solid: Solid, hold: HoldScene) -> tuple[int, int, int]:
     """Cells, displacement unknowns and quadrature points that the mesh sizes will give.
 
     Fitted to the meshes of `perilife study tensile` and `perilife bench tensile-published`, 2,536
-    to 767,631 cells: cells and unknowns to 8 %.  A thread needs some cells at any size.
+    to 767,631 cells: cells and unknowns to 8 %.  A thread needs some cells at any size; an end face
+    with cells of its own edge length e needs 11 of them for each e^2 of the mean section.
     """
     geometry = scene.geometry
     threaded = isinstance(geometry, ScrewGeometry) and geometry.parameters.thread != "none"
-    surface, bulk = solid.area / scene.mesh.size_fine**2, solid.volume / scene.mesh.size**3
-    cells = max(12, round(970 * threaded + 5.0 * surface + 3.0 * bulk))
-    element = ELEMENTS[scene.tensile.element]
+    mesh = hold.mesh
+    surface, bulk = solid.area / mesh.size_fine**2, solid.volume / mesh.size**3
+    section = solid.volume / float(np.ptp(solid.points[:, 2]))
+    ends = sum(11.0 * section / size**2 for size in mesh.size_ends if size is not None)
+    cells = max(12, round(970 * threaded + 5.0 * surface + 3.0 * bulk + ends))
+    element = ELEMENTS[hold.tensile.element]
     points = 0.95 * cells**0.883 if element.order == 1 else 3.65 * cells**0.931
     return cells, 3 * round(points), cells * element.points
 
@@ -406,17 +424,18 @@ def _tensile_departures(scene: Scene) -> list[Omission]:
                 "with P1, 7 % with P1-Fbar (fem/README.md)",
             )
         )
-    if test.bottom_grip > 0 or test.top_grip > 0:
-        found.append(
-            Omission(
-                "the metal within the grips",
-                f"the outer {format_length(test.bottom_grip)} and {format_length(test.top_grip)} "
-                "are held and not strained; --bottom-grip 0mm --top-grip 0mm holds the end faces, "
-                "as published, and tears off what is corroded there"
-                + ("" if isinstance(scene.geometry, ScrewGeometry) else "; no slot is known"),
-                "part of the scene (pipeline/README.md: strength left by the length held)",
+    for hold in scene.holds:
+        bottom, top = hold.tensile.bottom_grip, hold.tensile.top_grip
+        if bottom > 0 or top > 0:
+            found.append(
+                Omission(
+                    f"the metal within the grips ({hold.name})",
+                    f"the outer {format_length(bottom)} and {format_length(top)} are held and not "
+                    "strained; other ways of holding: --hold"
+                    + ("" if isinstance(scene.geometry, ScrewGeometry) else "; no slot is known"),
+                    "part of the scene (pipeline/README.md: strength left by the way of holding)",
+                )
             )
-        )
     if test.damage != "implicit":
         each = "cell" if test.damage == "cell" else "quadrature point"
         found.append(

@@ -99,9 +99,9 @@ def test_the_intact_solid_has_no_damage_anywhere(run):
     import h5py
 
     for alloy in ALLOYS:
-        with h5py.File(run[0] / alloy / "0w" / "damage.h5") as file:
+        with h5py.File(run[0] / alloy / "0w" / "shank" / "damage.h5") as file:
             assert np.all(file["f0"][:] == 0.0)
-        with h5py.File(run[0] / alloy / "8w" / "damage.h5") as file:
+        with h5py.File(run[0] / alloy / "8w" / "shank" / "damage.h5") as file:
             damage = file["f0"][:]
         assert 0 < damage.max() <= 2 / 3 + 1e-12
         assert damage.min() >= 0
@@ -112,7 +112,7 @@ def test_mass_is_conserved_and_lattice_and_mesh_lose_alike(run):
         corrosion = json.loads((run[0] / alloy / "corrosion" / "corrode.stage.json").read_text())
         # linear solver tolerance 1e-8 of what moves; measured 1e-11 (Mg-5Gd), 1e-7 (Mg-10Gd)
         assert corrosion["numbers"]["balance_error"] < 1e-6
-        mapped = json.loads((run[0] / alloy / "8w" / "map.stage.json").read_text())
+        mapped = json.loads((run[0] / alloy / "8w" / "shank" / "map.stage.json").read_text())
         assert mapped["numbers"]["lattice_lost_volume"] > 0
         # 250 um cells on 0.6 mm tetrahedra with one point each; the 2 % hold at `standard`
         assert abs(mapped["numbers"]["relative_difference"]) < 0.15
@@ -139,7 +139,7 @@ def test_every_file_of_the_run_folder_is_there(run):
         expected += [f"{alloy}/corrosion/corrosion.pvd"]
         for label in LABELS:
             names = ("damage.h5", "tensile.csv", "tensile.json", "tensile.vtu")
-            expected += [f"{alloy}/{label}/{name}" for name in names]
+            expected += [f"{alloy}/{label}/shank/{name}" for name in names]
     assert [name for name in expected if not (out / name).is_file()] == []
     leftovers = [p for p in out.rglob("*") if p.name.startswith(".") or p.suffix == ".tmp"]
     assert leftovers == []
@@ -204,7 +204,7 @@ def test_an_interrupted_run_resumes_to_the_same_numbers(run, tmp_path):
     out = tmp_path / "run"
     process = _start(out)
     end = time.monotonic() + 120
-    while not list(out.glob("*/8w/tensile-job.json")):
+    while not list(out.glob("*/8w/shank/tensile-job.json")):
         assert process.poll() is None and time.monotonic() < end
         time.sleep(0.02)
     process.send_signal(signal.SIGINT)
@@ -239,7 +239,7 @@ def test_a_pin_is_twisted_or_bent_instead_of_pulled(tmp_path, words, plastic):
     assert 0.3 < corroded.strength_ratio < 1 - 0.5 * corroded.volume_loss
     assert f"strength in {words[0]} after 8 weeks" in (out / "report.html").read_text()
     _, told = _finish(_start(out, *more, "--resume"))
-    assert "pull Mg-5Gd 8w: complete, kept" in told and "started" not in told
+    assert "pull Mg-5Gd 8w shank: complete, kept" in told and "started" not in told
     refused = _start(out, "--alloy", "Mg-5Gd", "--element", "P1-Fbar", "--resume")
     assert "another scene" in refused.communicate(timeout=60)[1] and refused.returncode == 2
 
@@ -281,7 +281,7 @@ def test_two_ranks_pull_as_one(run, tmp_path):
     before = read_summary(out / "summary.csv")
     moment = scene.immersion[1]
     cycle = LifeCycle(scene, out, ranks=2)
-    cycle.folder.forget(cycle.folder.immersion("Mg-5Gd", moment.label), "pull")
-    record = cycle.pull([("Mg-5Gd", moment)])[0]
+    cycle.folder.forget(cycle.folder.test("Mg-5Gd", moment.label, "shank"), "pull")
+    record = cycle.pull([("Mg-5Gd", moment, scene.holds[0])])[0]
     # residual tolerance 1e-5 of the reaction
     assert record.numbers["peak_force"] == pytest.approx(before[1].peak_reaction, rel=1e-4)

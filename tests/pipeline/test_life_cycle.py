@@ -21,6 +21,7 @@ from pipeline.scene.scene import (
     CorrosionParameters,
     CorrosionSettings,
     DomainSettings,
+    HoldScene,
     LatticeSettings,
     MaterialParameters,
     MeshSettings,
@@ -31,7 +32,14 @@ from pipeline.scene.scene import (
 from pipeline.scene.units import parse_immersion_times
 from pipeline.stages.strength import TensileJob, TensileStageError, run_jobs
 
+FINER = MeshSettings(0.2e-3, 0.1e-3)
+MESH = MeshSettings(0.3e-3, 0.2e-3)
 FORCES = {"0w": 400.0, "1w": 300.0, "8w": 0.0}
+
+
+def _holds(*names: str, mesh: MeshSettings = MESH) -> tuple[HoldScene, ...]:
+    faces = dataclasses.replace(mesh, size_bottom=5e-5, size_top=5e-5)
+    return tuple(HoldScene(n, faces if n == "faces" else mesh, TensileScene()) for n in names)
 
 
 def _scene(*labels: str, **changes) -> Scene:
@@ -49,8 +57,7 @@ def _scene(*labels: str, **changes) -> Scene:
         "lattice": LatticeSettings(100e-6, 200e-6),
         "domain": DomainSettings(),
         "corrosion": CorrosionSettings(),
-        "mesh": MeshSettings(0.3e-3, 0.2e-3),
-        "tensile": TensileScene(),
+        "holds": _holds("shank"),
     }
     return Scene(**{**fields, **changes})
 
@@ -71,8 +78,8 @@ def calls(monkeypatch) -> list[str]:
         losses = [0.0, 0.05, 0.15][: len(scene.with_intact())]
         return [out / "corrosion.h5"], {"volume_loss": losses}
 
-    def map_damage(scene, alloy, moment, geometry, corrosion, out):
-        made.append(f"map {alloy} {moment.label}")
+    def map_damage(scene, alloy, moment, hold, geometry, corrosion, out):
+        made.append(f"map {alloy} {moment.label} {hold.name}")
         write_text(out / "damage.h5", "f0")
         return [out / "damage.h5"], {"mean_corrosion_damage": 0.1 * moment.days / 7}
 
@@ -80,7 +87,7 @@ def calls(monkeypatch) -> list[str]:
         for key, job in jobs.items():
             made.append(key)
             out = Path(job.out)
-            force = FORCES[out.name]
+            force = FORCES[out.parent.name]
             result = {"peak_force": force, "elongation_at_peak": 0.02, "status": "completed"}
             write_text(out / "tensile.json", json.dumps(result))
             write_text(out / "tensile.csv", "elongation,force_N\n")
@@ -104,16 +111,16 @@ def test_stages_run_in_order_and_fill_the_table(tmp_path, calls):
     assert calls == [
         "geometry",
         "corrode Mg-A",
-        *(f"map Mg-A {t}" for t in FORCES),
-        *(f"pull Mg-A {t}" for t in FORCES),
+        *(f"map Mg-A {t} shank" for t in FORCES),
+        *(f"pull Mg-A {t} shank" for t in FORCES),
         "report",
     ]
     assert (tmp_path / "summary.csv").read_text().splitlines() == [
-        "alloy,immersion_days,volume_loss,mean_corrosion_damage,peak_force_N,strength_ratio,"
+        "alloy,hold,immersion_days,volume_loss,mean_corrosion_damage,peak_force_N,strength_ratio,"
         "elongation_at_peak,status",
-        "Mg-A,0,0,0,400,1,0.02,completed",
-        "Mg-A,7,0.05,0.1,300,0.75,0.02,completed",
-        "Mg-A,56,0.15,0.8,0,0,0.02,completed",
+        "Mg-A,shank,0,0,0,400,1,0.02,completed",
+        "Mg-A,shank,7,0.05,0.1,300,0.75,0.02,completed",
+        "Mg-A,shank,56,0.15,0.8,0,0,0.02,completed",
     ]
     assert read_summary(tmp_path / "summary.csv") == rows
 
@@ -121,7 +128,7 @@ def test_stages_run_in_order_and_fill_the_table(tmp_path, calls):
 def test_the_intact_solid_is_pulled_even_when_time_zero_is_not_asked_for(tmp_path, calls, capsys):
     progress = LineProgress(sys.stderr)
     rows = LifeCycle(_scene("1w", "8w"), tmp_path, progress=progress).run()
-    assert "pull Mg-A 0w" in calls
+    assert "pull Mg-A 0w shank" in calls
     assert [row.immersion_days for row in rows] == [7, 56]
     assert [row.strength_ratio for row in rows] == [0.75, 0.0]
     assert [row.volume_loss for row in rows] == [0.05, 0.15]
@@ -142,19 +149,34 @@ def test_a_lost_output_is_made_again_with_what_needs_it(tmp_path, calls):
     scene = _scene("0w", "1w")
     LifeCycle(scene, tmp_path).run()
     calls.clear()
-    (tmp_path / "Mg-A" / "1w" / "damage.h5").unlink()
-    (tmp_path / "Mg-A" / "0w" / "tensile.csv").unlink()
+    (tmp_path / "Mg-A" / "1w" / "shank" / "damage.h5").unlink()
+    (tmp_path / "Mg-A" / "0w" / "shank" / "tensile.csv").unlink()
     LifeCycle(scene, tmp_path).run()
-    assert calls == ["map Mg-A 1w", "pull Mg-A 0w", "report"]
+    assert calls == ["map Mg-A 1w shank", "pull Mg-A 0w shank", "report"]
 
 
 def test_another_mesh_repeats_all_but_the_corrosion(tmp_path, calls):
     LifeCycle(_scene("0w", "8w"), tmp_path).run()
     calls.clear()
-    LifeCycle(_scene("0w", "8w", mesh=MeshSettings(0.2e-3, 0.1e-3)), tmp_path).run()
+    LifeCycle(_scene("0w", "8w", holds=_holds("shank", mesh=FINER)), tmp_path).run()
     assert calls[0] == "geometry"
     assert "corrode Mg-A" not in calls
-    assert {"map Mg-A 8w", "pull Mg-A 8w"} <= set(calls)
+    assert {"map Mg-A 8w shank", "pull Mg-A 8w shank"} <= set(calls)
+
+
+def test_one_geometry_and_one_corrosion_serve_every_way_of_holding(tmp_path, calls):
+    rows = LifeCycle(_scene("0w", "8w", holds=_holds("shank", "slot", "faces")), tmp_path).run()
+    assert calls.count("geometry") == calls.count("corrode Mg-A") == 1
+    assert [(row.hold, row.immersion_days) for row in rows] == [
+        (hold, days) for hold in ("shank", "slot", "faces") for days in (0, 56)
+    ]
+    jobs = {hold: tmp_path / "Mg-A" / "8w" / hold for hold in ("shank", "slot", "faces")}
+    assert all((place / "tensile.csv").is_file() for place in jobs.values())
+    # what only one way of holding needs is all that is made again
+    calls.clear()
+    (jobs["slot"] / "tensile.csv").unlink()
+    LifeCycle(_scene("0w", "8w", holds=_holds("shank", "slot", "faces")), tmp_path).run()
+    assert calls == ["pull Mg-A 8w slot", "report"]
 
 
 def test_pulls_of_older_code_are_repeated(tmp_path, calls, monkeypatch):
@@ -163,7 +185,7 @@ def test_pulls_of_older_code_are_repeated(tmp_path, calls, monkeypatch):
     calls.clear()
     monkeypatch.setitem(STAGE_REVISION, "pull", STAGE_REVISION["pull"] + 1)
     LifeCycle(scene, tmp_path).run()
-    assert calls == ["pull Mg-A 0w", "pull Mg-A 8w", "report"]
+    assert calls == ["pull Mg-A 0w shank", "pull Mg-A 8w shank", "report"]
     calls.clear()
     monkeypatch.setitem(STAGE_REVISION, "report", STAGE_REVISION["report"] + 1)
     LifeCycle(scene, tmp_path).run()
@@ -182,7 +204,7 @@ def test_an_interrupted_stage_is_not_complete(tmp_path, calls, monkeypatch):
         with pytest.raises(KeyboardInterrupt):
             cycle.corrode("Mg-A")
     with pytest.raises(RunFolderError, match="`perilife corrode`"):
-        cycle.map("Mg-A", scene.immersion[0])
+        cycle.map("Mg-A", scene.immersion[0], scene.holds[0])
     calls.clear()
     LifeCycle(scene, tmp_path).run()
     assert calls[0] == "corrode Mg-A"
@@ -359,4 +381,4 @@ def test_the_command_starts_without_the_heavy_libraries():
 
 def test_the_scene_does_not_change_while_it_is_used():
     with pytest.raises(dataclasses.FrozenInstanceError):
-        _scene("0w").mesh.size = 1.0
+        _scene("0w").holds[0].mesh.size = 1.0

@@ -17,8 +17,9 @@ from PIL import Image
 
 from pipeline.record.run_folder import RunFolder, StageRecord
 from pipeline.record.run_results import AlloyResult, ImmersionResult, read_run
-from pipeline.record.summary import SummaryRow, write_summary
+from pipeline.record.summary import SummaryRow, read_summary, write_summary
 from pipeline.report import doubts, picture_set, pictures, plots, provenance, report, wording
+from pipeline.scene.holding import HOLDINGS
 from pipeline.scene.loads import LOADS
 from pipeline.scene.resolution import RESOLUTIONS
 from pipeline.scene.resolve import resolve_scene
@@ -104,41 +105,43 @@ def write_run(path, scene, points, cells):
         write_csv(folder.corrosion(alloy.name) / "history.csv", columns)
         record(folder, folder.corrosion(alloy.name), "corrode", 40.0, omissions=LEFT_OUT)
         for moment, ratio in zip(scene.immersion, RATIOS[alloy.name], strict=False):
-            place = folder.immersion(alloy.name, moment.label)
-            place.mkdir(parents=True)
-            damage = np.clip(0.9 - depth / (2e-3 * (1.01 - ratio)), 0, 2 / 3) * (ratio < 1)
-            with h5py.File(place / "damage.h5", "w") as file:
-                file["f0"] = np.repeat(damage[:, None], 4, axis=1)
-            section = {"net_section_left": 0.9 * ratio}
-            record(folder, place, "map", 0.5, **lost_volume(), **section)
-            strain = np.linspace(0, 0.1, 21)
-            force = 500 * ratio * (1 - np.exp(-60 * strain)) * (1 - strain)
-            work = np.cumsum(force) * 2e-5
-            columns = {"elongation": strain, "displacement_m": 4e-3 * strain, "force_N": force}
-            if scene.tensile.load != "axial":
-                force *= 2e-4
-                names = LOADS[scene.tensile.load]
-                reaction = f"{names.reaction}_{names.unit}"
-                columns = {"strain": strain, "angle_rad": 4 * strain, reaction: force}
-            energy = {"work_J": work, "stored_J": 0.2 * work, "dissipated_J": 0.798 * work}
-            write_csv(place / "tensile.csv", columns | energy)
-            status = "severed" if ratio == 0 else "completed"
-            found = {"status": status, "cells": 3698, "torn_cells": 7 if ratio < 0.7 else 0}
-            (place / "tensile.json").write_text(json.dumps(found))
-            record(folder, place, "pull", 12.0)
-            rows.append(
-                SummaryRow(
-                    alloy.name,
-                    moment.days,
-                    float(np.interp(moment.seconds, time, loss)),
-                    float(damage.mean()),
-                    float(force.max()),
-                    ratio,
-                    0.045 if ratio else 0.0,
-                    status,
-                    scene.tensile.load,
+            for hold in scene.holds:
+                place = folder.test(alloy.name, moment.label, hold.name)
+                place.mkdir(parents=True)
+                damage = np.clip(0.9 - depth / (2e-3 * (1.01 - ratio)), 0, 2 / 3) * (ratio < 1)
+                with h5py.File(place / "damage.h5", "w") as file:
+                    file["f0"] = np.repeat(damage[:, None], 4, axis=1)
+                section = {"net_section_left": 0.9 * ratio}
+                record(folder, place, "map", 0.5, **lost_volume(), **section)
+                strain = np.linspace(0, 0.1, 21)
+                force = 500 * ratio * (1 - np.exp(-60 * strain)) * (1 - strain)
+                work = np.cumsum(force) * 2e-5
+                columns = {"elongation": strain, "displacement_m": 4e-3 * strain, "force_N": force}
+                if scene.tensile.load != "axial":
+                    force *= 2e-4
+                    names = LOADS[scene.tensile.load]
+                    reaction = f"{names.reaction}_{names.unit}"
+                    columns = {"strain": strain, "angle_rad": 4 * strain, reaction: force}
+                energy = {"work_J": work, "stored_J": 0.2 * work, "dissipated_J": 0.798 * work}
+                write_csv(place / "tensile.csv", columns | energy)
+                status = "severed" if ratio == 0 else "completed"
+                found = {"status": status, "cells": 3698, "torn_cells": 7 if ratio < 0.7 else 0}
+                (place / "tensile.json").write_text(json.dumps(found))
+                record(folder, place, "pull", 12.0)
+                rows.append(
+                    SummaryRow(
+                        alloy.name,
+                        hold.name,
+                        moment.days,
+                        float(np.interp(moment.seconds, time, loss)),
+                        float(damage.mean()),
+                        float(force.max()),
+                        ratio,
+                        0.045 if ratio else 0.0,
+                        status,
+                        scene.tensile.load,
+                    )
                 )
-            )
     write_summary(folder.summary_file, rows)
     return path
 
@@ -220,8 +223,12 @@ def test_the_page_stands_alone_and_is_well_formed(full):
 def test_the_answer_comes_first_one_sentence_for_each_alloy(full):
     _, page, _ = full
     top = page.sections["header"]
-    assert "Mg-5Gd keeps 43 % of its strength after 8 weeks and none after 24 weeks" in top
-    assert "Mg-10Gd keeps 64 % of its strength after 8 weeks and 21 % after 24 weeks" in top
+    assert (
+        "Mg-5Gd: the shank keeps 43 % of its strength after 8 weeks and none after 24 weeks" in top
+    )
+    assert (
+        "Mg-10Gd: the shank keeps 64 % of its strength after 8 weeks and 21 % after 24 weeks" in top
+    )
     # between 8 weeks (0.64) and 24 weeks (0.21): 8 + 16 * 0.14 / 0.43 = 13.2 weeks
     assert "gone after about 13 weeks" in top
     assert "17 values are assumed, fitted or known to be wrong" in top
@@ -259,7 +266,7 @@ def test_doubt_and_cost_are_stated(full):
     _, page, _ = full
     sure = page.sections["sure"]
     error = RESOLUTIONS["quick"].tensile_error.error
-    assert f"strength left is off by at most {100 * error:.1f} % of its value" in sure
+    assert f"strength left of the shank is off by at most {100 * error:.1f} % of its value" in sure
     assert "3e-13" in sure and "1.23 %" in sure and "0.20 %" in sure  # balance, map, energy
     quick = RESOLUTIONS["quick"].corrosion_error
     for alloy in ("Mg-5Gd", "Mg-10Gd"):
@@ -353,12 +360,47 @@ def test_a_turned_solid_is_reported_in_words_and_units_of_its_load(tmp_path, loa
         assert not re.search("tensile|force|elongation|pull", page.sections[section], re.IGNORECASE)
 
 
+def test_each_way_of_holding_has_its_question_its_table_and_its_curves(tmp_path, mesh):
+    scene = scene_of(alloys=("Mg-5Gd",), weeks=("0w", "8w"), hold=["all"])
+    path = write_run(tmp_path / "run", scene, *mesh)
+    # what is weaker held in another way
+    rows = read_summary(path / "summary.csv")
+    shares = {"shank": 1.0, "slot": 0.5, "faces": 0.1}
+    weaker = [replace(r, strength_ratio=r.strength_ratio * shares[r.hold]) for r in rows]
+    write_summary(path / "summary.csv", weaker)
+    page, text = page_of(path)
+    top = page.sections["header"]
+    assert "Mg-5Gd: the shank keeps 71 % of its strength after 8 weeks" in top
+    assert "the slotted section 36 % after 8 weeks, the layer at the end faces 7 %" in top
+    ways = " ".join(page.sections["holds"].split())
+    for name in shares:
+        assert HOLDINGS[name].question in ways and HOLDINGS[name].part in ways
+    assert "bottom 700 µm, top 300 µm" in ways and "bottom its face, top its face" in ways
+    assert text.count('<table class="summary">') == 3
+    assert text.count("<svg") == 3 + 1 + 3  # strength, volume loss, force-elongation
+    assert "held by slot has not been measured" in page.sections["sure"]
+
+
+@pytest.mark.parametrize(
+    ("states", "words"),
+    [
+        (("past_peak", "severed"), " until it gives way"),
+        (("completed", "past_peak"), ", some until they give way"),
+        (("completed", "completed"), ""),
+        ((), ""),
+    ],
+)
+def test_it_gives_way_only_where_it_did(states, words):
+    items = tuple(ImmersionResult("1w", 1.0, tensile={"status": s}) for s in states)
+    assert wording.until_it_gives_way([AlloyResult("A", {}, items)]) == words
+
+
 def test_missing_parts_are_said(tmp_path, mesh):
     path = write_run(tmp_path / "run", scene_of(weeks=("0w", "4w")), *mesh)
-    (path / "Mg-10Gd" / "4w" / "tensile.csv").unlink()
+    (path / "Mg-10Gd" / "4w" / "shank" / "tensile.csv").unlink()
     (path / "Mg-10Gd" / "corrosion" / "history.csv").unlink()
     stopped = json.dumps({"status": "stopped: no convergence at strain 0.02"})
-    (path / "Mg-5Gd" / "4w" / "tensile.json").write_text(stopped)
+    (path / "Mg-5Gd" / "4w" / "shank" / "tensile.json").write_text(stopped)
     (path / "geometry" / "mesh.h5").unlink()
     page, text = page_of(path)
     said = page.sections["missing"]
@@ -435,7 +477,7 @@ def test_drawing_leaves_matplotlib_as_it_was():
     import matplotlib
 
     before = dict(matplotlib.rcParams)
-    row = SummaryRow("A", 7.0, 0.1, 0.1, 100.0, 0.5, 0.05, "completed")
+    row = SummaryRow("A", "shank", 7.0, 0.1, 0.1, 100.0, 0.5, 0.05, "completed")
     alloy = AlloyResult("A", {}, (ImmersionResult("1w", 604800.0, summary=row),))
     svg = plots.strength_plot([alloy])
     assert dict(matplotlib.rcParams) == before

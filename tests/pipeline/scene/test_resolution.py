@@ -95,10 +95,12 @@ def test_the_report_quotes_the_tensile_error_of_the_preset_used(name):
     run = run_of(resolution_name=name)
     text = doubts.error_estimate(run)
     assert f"at most {error} of its value because mesh" in text and "measured up to 24w" in text
-    assert f"strength left up to {error}" in doubts.in_short(run, 3)
+    assert f"strength left of the shank up to {error}" in doubts.in_short(run, 3)
     assert "on the reference screw of Mg-5Gd and Mg-10Gd;" in doubts.error_estimate(run)
     other = run_of(resolution_name=name, geometry=ScrewGeometry(ScrewParameters(thread="none")))
-    assert "Mg-5Gd and Mg-10Gd, not here" in doubts.error_estimate(other)
+    # errors measured on the screw are quoted for the screw only
+    assert "strength left held by shank has not been measured" in doubts.error_estimate(other)
+    assert error not in doubts.in_short(other, 3)
 
 
 @pytest.mark.parametrize(
@@ -113,8 +115,8 @@ def test_the_report_quotes_the_tensile_error_of_the_preset_used(name):
 def test_other_tensile_settings_do_not_borrow_the_error_of_a_preset(changes):
     run = run_of(**changes)
     text = doubts.error_estimate(run)
-    assert "has not been measured for these grips, mesh, element and increment" in text
-    assert "strength left is off by" not in text
+    assert "has not been measured for this solid, mesh, element and increment" in text
+    assert "strength left of the shank is off by" not in text
     assert "of the strength not measured" in doubts.in_short(run, 3)
 
 

@@ -14,18 +14,20 @@ from pipeline.record.stage_hashes import (
     map_hash,
     pull_hash,
 )
+from pipeline.scene.holding import HOLDINGS
 from pipeline.scene.loads import LOADS
+from pipeline.scene.mechanics import DAMAGE_UPDATES
 from pipeline.scene.options import add_scene_options, scene_from_options
 from pipeline.scene.rate_law import KINETICS
 from pipeline.scene.resolve import resolve_scene
 from pipeline.scene.scene import (
-    DAMAGE_UPDATES,
     DISSOLUTION_LAWS,
     OMITTABLE,
     AlloyScene,
     CorrosionParameters,
     CorrosionSettings,
     DomainSettings,
+    HoldScene,
     LatticeSettings,
     MaterialParameters,
     MeshSettings,
@@ -67,8 +69,7 @@ def scene() -> Scene:
         lattice=LatticeSettings(100e-6, 200e-6),
         domain=DomainSettings(),
         corrosion=CorrosionSettings(),
-        mesh=MeshSettings(0.3e-3, 0.2e-3),
-        tensile=TensileScene(),
+        holds=(HoldScene("shank", MeshSettings(0.3e-3, 0.2e-3), TensileScene()),),
     )
 
 
@@ -129,8 +130,8 @@ def test_unknown_missing_and_mistyped_fields_are_named(scene):
     with pytest.raises(SceneError, match=r"colour.*scene\.lattice"):
         scene_from_json(content)
     content = scene.to_json()
-    del content["mesh"]["size"]
-    with pytest.raises(SceneError, match=r"'size' of scene\.mesh is missing"):
+    del content["holds"][0]["mesh"]["size"]
+    with pytest.raises(SceneError, match=r"'size' of scene\.holds\[0\]\.mesh is missing"):
         scene_from_json(content)
     content = scene.to_json()
     content["lattice"]["spacing"] = "100 um"
@@ -193,9 +194,9 @@ def hashes(scene: Scene) -> list[str]:
         geometry_hash(scene),
         corrosion_hash(scene, "Mg-A"),
         corrosion_hash(scene, "Mg-B"),
-        map_hash(scene, "Mg-A", time),
-        pull_hash(scene, "Mg-A", time),
-        pull_hash(scene, "Mg-B", time),
+        map_hash(scene, "Mg-A", time, scene.holds[0]),
+        pull_hash(scene, "Mg-A", time, scene.holds[0]),
+        pull_hash(scene, "Mg-B", time, scene.holds[0]),
     ]
 
 
@@ -206,6 +207,9 @@ def test_each_stage_depends_on_its_own_numbers_only(scene):
         other = dataclasses.replace(scene, **fields)
         return [a != b for a, b in zip(hashes(scene), hashes(other), strict=True)]
 
+    def held(**fields) -> tuple[HoldScene, ...]:
+        return (dataclasses.replace(scene.holds[0], **fields),)
+
     strong = dataclasses.replace(
         scene.alloys[0],
         material=dataclasses.replace(scene.alloys[0].material, initial_yield_stress=200e6),
@@ -215,9 +219,15 @@ def test_each_stage_depends_on_its_own_numbers_only(scene):
         corrosion=dataclasses.replace(scene.alloys[0].corrosion, volume_loss_scale=0.3),
     )
     assert len(set(hashes(scene))) == 4  # the two alloys have the same numbers here
-    assert changed(mesh=MeshSettings(0.2e-3, 0.1e-3)) == [True, False, False, True, True, True]
+    finer = held(mesh=MeshSettings(0.2e-3, 0.1e-3))
+    assert changed(holds=finer) == [True, False, False, True, True, True]
     assert changed(corrosion=CorrosionSettings(step=1e4)) == [False, True, True, True, True, True]
-    assert changed(tensile=TensileScene(increment=0.01)) == [False] * 4 + [True] * 2
+    assert changed(holds=held(tensile=TensileScene(increment=0.01))) == [False] * 4 + [True] * 2
+    other = held(tensile=TensileScene(bottom_grip=1e-3))
+    assert changed(holds=other) == [False] * 3 + [True] * 3
+    # a second way of holding with the same mesh changes nothing of the first
+    second = dataclasses.replace(other[0], name="own")
+    assert changed(holds=(*scene.holds, second)) == [False] * 6
     assert changed(alloys=(strong, scene.alloys[1])) == [False] * 4 + [True, False]
     assert changed(alloys=(slow, scene.alloys[1])) == [False, True, False, True, True, False]
     assert changed(geometry=ScrewGeometry(ScrewParameters(length=5e-3))) == [True] * 6
@@ -295,11 +305,16 @@ def test_a_growth_of_f_that_cannot_be_computed_is_refused(fields, sentence):
         TensileScene(**fields)
 
 
-def test_a_scene_of_an_earlier_version_is_pulled_with_the_default_growth_of_f(scene):
+def test_what_a_stored_test_does_not_say_is_the_default(scene):
     content = scene.to_json()
     for name in ("damage", "damage_length", "load", "bending_azimuth"):
-        del content["tensile"][name]
+        del content["holds"][0]["tensile"][name]
     assert scene_from_json(content) == scene
+
+
+def test_a_scene_of_an_earlier_version_is_refused(scene):
+    with pytest.raises(SceneError, match="schema version of the scene is 1; it must be 2"):
+        scene_from_json({**scene.to_json(), "schema_version": 1})
 
 
 def test_the_growth_of_f_comes_from_the_command_line():
@@ -319,6 +334,56 @@ def test_the_grips_reach_a_horizon_below_the_slot_unless_told_otherwise():
     assert test.bottom_grip == test.top_grip == pytest.approx(0.8e-3)
     test = resolve_scene(["Mg-5Gd"], ["8w"], tensile={"bottom_grip": 0.0}).tensile
     assert (test.bottom_grip, test.top_grip) == (0.0, pytest.approx(0.7e-3))
+
+
+def test_each_way_of_holding_has_its_grips_and_its_mesh():
+    scene = resolve_scene(["Mg-5Gd"], ["8w"], hold=["all"])
+    grips = {h.name: (h.tensile.bottom_grip, h.tensile.top_grip) for h in scene.holds}
+    assert grips["shank"] == pytest.approx((0.7e-3, 0.7e-3))
+    assert grips["slot"] == pytest.approx((0.7e-3, 0.3e-3))
+    assert grips["faces"] == (0.0, 0.0)
+    # cells at pulled faces: half the lattice spacing of 100 um, and four nodes
+    assert [h.mesh.size_ends for h in scene.holds] == [(None, None)] * 2 + [(5e-5, 5e-5)]
+    assert [h.tensile.element for h in scene.holds] == ["P2", "P2", "P1"]
+    assert list(scene.meshes()) == ["", "faces"]
+    assert [scene.mesh_folder(h) for h in scene.holds] == ["", "", "faces"]
+    assert set(grips) < set(HOLDINGS)
+    finer = resolve_scene(["Mg-5Gd"], ["8w"], hold=["faces"], mesh_size=47e-6)
+    assert finer.mesh.size_ends == (None, None)  # fine enough everywhere
+    chosen = resolve_scene(["Mg-5Gd"], ["8w"], hold=["faces"], tensile={"element": "P2"})
+    assert chosen.tensile.element == "P2"
+
+
+def test_depths_that_have_a_name_are_called_by_it():
+    def name(**depths) -> str:
+        return resolve_scene(["Mg-5Gd"], ["8w"], tensile=depths).holds[0].name
+
+    assert name(bottom_grip=0.0, top_grip=0.0) == "faces"
+    assert name(bottom_grip=0.7e-3, top_grip=0.3e-3) == "slot"
+    assert name(top_grip=0.7e-3) == "shank"
+    assert name(top_grip=0.4e-3) == "own"
+    pulled = resolve_scene(["Mg-5Gd"], ["8w"], tensile={"top_grip": 0.0}).holds[0]
+    assert pulled.mesh.size_ends == (None, 5e-5) and pulled.tensile.element == "P1"
+
+
+def test_ways_of_holding_that_a_solid_does_not_allow_are_refused():
+    plain = ScrewGeometry(ScrewParameters(slot_width=0.0, slot_depth=0.0))
+    with pytest.raises(SceneError, match="hold is 'slot' and the solid has no slot"):
+        resolve_scene(["Mg-5Gd"], ["8w"], hold=["slot"], geometry=plain)
+    every = resolve_scene(["Mg-5Gd"], ["8w"], hold=["all"], geometry=plain)
+    assert [h.name for h in every.holds] == ["shank", "faces"]
+    shallow = ScrewGeometry(ScrewParameters(slot_depth=0.3e-3))
+    with pytest.raises(SceneError, match="slot is 0.3 mm deep"):
+        resolve_scene(["Mg-5Gd"], ["8w"], hold=["slot"], geometry=shallow)
+    for hold, words in (
+        (["head"], "hold is 'head'; it must be one of shank, slot, faces, all"),
+        (["all", "slot"], "all must stand alone"),
+        (["slot", "slot"], "without repetition"),
+    ):
+        with pytest.raises(SceneError, match=words):
+            resolve_scene(["Mg-5Gd"], ["8w"], hold=hold)
+    with pytest.raises(SceneError, match="left out where --top-grip is given"):
+        resolve_scene(["Mg-5Gd"], ["8w"], hold=["slot"], tensile={"top_grip": 1e-3})
 
 
 def test_the_loads_are_those_of_fem_and_called_as_there():
@@ -350,5 +415,6 @@ def test_the_load_comes_from_the_command_line_and_only_the_test_depends_on_it():
     assert scene_of("--load", "torsion").tensile.bending_azimuth is None
     assert scene_from_json(bent.to_json()) == bent
     time = bent.immersion[0]
-    assert map_hash(bent, "Mg-5Gd", time) == map_hash(pulled, "Mg-5Gd", time)
-    assert pull_hash(bent, "Mg-5Gd", time) != pull_hash(pulled, "Mg-5Gd", time)
+    test = ("Mg-5Gd", time, pulled.holds[0])
+    assert map_hash(bent, *test) == map_hash(pulled, *test)
+    assert pull_hash(bent, "Mg-5Gd", time, bent.holds[0]) != pull_hash(pulled, *test)

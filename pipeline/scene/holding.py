@@ -1,0 +1,123 @@
+"""The ways of holding a solid in the mechanical test, and the question that each answers.
+
+How a corroded solid is held decides which part of it is tested, and with it the strength left.
+"""
+
+from dataclasses import dataclass
+
+from pipeline.scene.scene import SceneError, ScrewGeometry, SolidFile
+
+GIVEN = "own"
+"""Name of a way of holding whose depths were given one by one."""
+
+SLOT_HORIZONS = 1.5
+"""Depth of the top grip where the slotted section is tested, in horizons: below the crust of the
+end face, which is one horizon deep."""
+
+
+@dataclass(frozen=True)
+class Holding:
+    """A way of holding for a reader.
+
+    part: what is tested, as the subject of a sentence; grips: what the grips hold; question: what
+    the strength left answers.
+    """
+
+    part: str
+    grips: str
+    question: str
+
+
+HOLDINGS: dict[str, Holding] = {
+    "shank": Holding(
+        "the shank",
+        "both ends, below what corrodes there",
+        "How strong is the body between two ends that are held as deep as they corrode?",
+    ),
+    "slot": Holding(
+        "the slotted section",
+        "the bottom below what corrodes there, the slotted top below the crust of its end face",
+        "How strong is the end with the slot, where least metal is?",
+    ),
+    "faces": Holding(
+        "the layer at the end faces",
+        "the end faces alone, as published",
+        "How firmly does the outermost corroded layer still sit on the end?",
+    ),
+    GIVEN: Holding(
+        "the part between the grips",
+        "the ends, as deep as given",
+        "How strong is what lies between grips of these depths?",
+    ),
+}
+
+ALL = ("shank", "slot", "faces")
+"""The ways that `--hold all` asks for, where the solid has a slot."""
+
+
+def crust_depth(geometry: ScrewGeometry | SolidFile, horizon: float) -> float:
+    """How deep an end corrodes while its outermost metal is still there (m).
+
+    The depth of the slot and, below it, a horizon.  No slot is known of a solid from a file.
+    """
+    return (geometry.parameters.slot_depth if has_slot(geometry) else 0.0) + horizon
+
+
+def has_slot(geometry: ScrewGeometry | SolidFile) -> bool:
+    """Whether the solid is known to have a slot."""
+    return isinstance(geometry, ScrewGeometry) and geometry.parameters.has_slot
+
+
+def grip_depths(
+    name: str, geometry: ScrewGeometry | SolidFile, horizon: float
+) -> tuple[float, float]:
+    """Lengths (m) that the bottom and the top grip of a way of holding hold.
+
+    Raises SceneError for an unknown name, and for the slotted section of a solid without slot.
+    """
+    deep = crust_depth(geometry, horizon)
+    if name == "shank":
+        return deep, deep
+    if name == "faces":
+        return 0.0, 0.0
+    if name != "slot":
+        raise SceneError(f"hold is '{name}'; it must be one of {', '.join(ALL)}, all")
+    top = SLOT_HORIZONS * horizon
+    if not has_slot(geometry):
+        raise SceneError("hold is 'slot' and the solid has no slot; it must be shank or faces")
+    if top >= geometry.parameters.slot_depth:
+        raise SceneError(
+            f"hold is 'slot' and the slot is {1e3 * geometry.parameters.slot_depth:g} mm deep; it "
+            f"must be deeper than the top grip, {SLOT_HORIZONS:g} horizons, {1e3 * top:g} mm"
+        )
+    return deep, top
+
+
+def named(depths: tuple[float, float], geometry: ScrewGeometry | SolidFile, horizon: float) -> str:
+    """The name of the way of holding with these depths (m), GIVEN where it has none."""
+    for name in ALL:
+        if name == "slot" and not has_slot(geometry):
+            continue
+        try:
+            known = grip_depths(name, geometry, horizon)
+        except SceneError:
+            continue
+        if all(abs(a - b) < 1e-9 for a, b in zip(known, depths, strict=True)):
+            return name
+    return GIVEN
+
+
+def asked_for(names: list[str], geometry: ScrewGeometry | SolidFile, horizon: float) -> list[str]:
+    """The names with `all` spelt out: every way that the solid allows."""
+    if "all" not in names:
+        return list(names)
+    if len(names) > 1:
+        raise SceneError(f"hold is {' '.join(names)}; all must stand alone")
+    possible = []
+    for name in ALL:
+        try:
+            grip_depths(name, geometry, horizon)
+        except SceneError:
+            continue
+        possible.append(name)
+    return possible
