@@ -218,9 +218,9 @@ def test_a_damaged_file_is_named_and_its_stage_done_again(tmp_path, calls, capsy
     made = {
         "geometry/mesh.h5": "geometry",
         "Mg-A/corrosion/corrosion.h5": "corrode Mg-A",
-        "Mg-A/1w/damage.h5": "map Mg-A 1w",
-        "Mg-A/1w/tensile.json": "pull Mg-A 1w",
-        "Mg-A/0w/tensile.csv": "pull Mg-A 0w",
+        "Mg-A/1w/shank/damage.h5": "map Mg-A 1w shank",
+        "Mg-A/1w/shank/tensile.json": "pull Mg-A 1w shank",
+        "Mg-A/0w/shank/tensile.csv": "pull Mg-A 0w shank",
         "report.html": "report",
     }
     for name, again in made.items():
@@ -246,9 +246,9 @@ def test_a_stage_command_refuses_to_build_on_a_damaged_file(tmp_path, calls):
     scene = _scene("0w", "1w")
     cycle = LifeCycle(scene, tmp_path)
     cycle.run()
-    (tmp_path / "Mg-A" / "1w" / "damage.h5").write_text("f1")
-    with pytest.raises(RunFolderError, match=r"'Mg-A/1w/damage.h5' was changed.*perilife map"):
-        cycle.pull([("Mg-A", scene.immersion[1])])
+    (tmp_path / "Mg-A" / "1w" / "shank" / "damage.h5").write_text("f1")
+    with pytest.raises(RunFolderError, match=r"'Mg-A/1w/shank/damage.h5' was changed.*perilife map"):
+        cycle.pull([("Mg-A", scene.immersion[1], scene.holds[0])])
 
 
 def test_a_record_needs_its_inputs_and_its_outputs(tmp_path):
