@@ -247,7 +247,8 @@ def test_a_stage_command_refuses_to_build_on_a_damaged_file(tmp_path, calls):
     cycle = LifeCycle(scene, tmp_path)
     cycle.run()
     (tmp_path / "Mg-A" / "1w" / "shank" / "damage.h5").write_text("f1")
-    with pytest.raises(RunFolderError, match=r"'Mg-A/1w/shank/damage.h5' was changed.*perilife map"):
+    changed = r"'Mg-A/1w/shank/damage.h5' was changed.*perilife map"
+    with pytest.raises(RunFolderError, match=changed):
         cycle.pull([("Mg-A", scene.immersion[1], scene.holds[0])])
 
 
