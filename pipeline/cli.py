@@ -16,7 +16,7 @@ from pathlib import Path
 
 from perilife_data import did_you_mean
 from pipeline.calibration.command import add_calibrate_options
-from pipeline.campaigns.options import add_design_options
+from pipeline.campaigns.options import add_campaign_options, add_design_options
 from pipeline.record import interruption
 from pipeline.scene.options import add_scene_options
 
@@ -117,6 +117,9 @@ def build_parser() -> argparse.ArgumentParser:
     add_scene_options(design, immersion=False)
     add_design_options(design)
     _add_folder_options(design)
+    campaign = add("campaign", _campaign, "many scenes from one file, each stage computed once")
+    add_campaign_options(campaign)
+    _add_folder_options(campaign)
     add("alloys", _alloys, "the alloys and parameter sets that are known")
     bench = add("bench", _bench, "benchmarks of this machine")
     bench.add_argument("name", metavar="NAME", help="name of a benchmark, or list")
@@ -337,6 +340,13 @@ def _design(options: argparse.Namespace) -> int:
     with progress_for(sys.stderr, options.quiet) as progress:
         run_design(options, progress, print)
     return 0
+
+
+def _campaign(options: argparse.Namespace) -> int:
+    from pipeline.campaigns.campaign import run_from_options
+
+    say = (lambda line: None) if options.quiet else (lambda line: print(line, flush=True))
+    return run_from_options(options, say)
 
 
 def _alloys(options: argparse.Namespace) -> int:

@@ -23,3 +23,11 @@ def add_design_options(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=LOW:HIGH",
         help=f"one of {', '.join(n.replace('_', '-') for n in LENGTHS)}; or alloy=A,B",
     )
+
+
+def add_campaign_options(parser: argparse.ArgumentParser) -> None:
+    """Options of `perilife campaign`."""
+    parser.add_argument("campaign", metavar="CAMPAIGN.toml", help="alloys, times, options, samples")
+    parser.add_argument("--engine", default="local", metavar="E", help="local, dask or mpi (local)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="of Dask, as tcp://host:8786")
+    parser.add_argument("--workers", type=int, metavar="N", help="tasks at a time (the cores)")

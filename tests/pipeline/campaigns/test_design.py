@@ -100,7 +100,18 @@ def test_a_thicker_pin_keeps_more_and_the_answer_is_a_run(tmp_path, capsys):
         *PIN,
         "--quiet",
     ]
-    arguments += ["--mesh-size", "0.6mm", "--vary", "diameter=1.6mm:3mm", "--out", str(out)]
+    arguments += [
+        "--spacing",
+        "150um",
+        "--horizon",
+        "150um",
+        "--mesh-size",
+        "0.6mm",
+        "--vary",
+        "diameter=1.6mm:3mm",
+        "--out",
+        str(out),
+    ]
     assert main(arguments) == 0
     lines = capsys.readouterr().out.strip().splitlines()
     tried = sorted(

@@ -1,0 +1,200 @@
+"""Campaigns: what a file asks for, what one task is, and (slow) engines, deaths, resumption."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from pipeline.campaigns import campaign as module
+from pipeline.campaigns.campaign import STORE_FOLDER, read_campaign, run_campaign, stages
+from pipeline.campaigns.task import do_task
+from pipeline.cli import main
+from pipeline.record.machine import child_environment
+from pipeline.record.run_folder import RunFolder
+
+PIN = """
+thread = "none"
+spacing = "250um"
+horizon = "250um"
+radial_margin = "0.5mm"
+axial_margin = "0.5mm"
+final_strain = 0.02
+"""
+
+
+def write(folder: Path, options: str = "", head: str = "", times: str = '"0w", "4w"') -> Path:
+    path = folder / "campaign.toml"
+    path.write_text(
+        f'alloys = ["Mg-5Gd", "Mg-10Gd"]\nimmersion = [{times}]\n{head}\n[options]\n{PIN}{options}'
+    )
+    return path
+
+
+def test_every_combination_is_a_scene_and_equal_stages_are_one_task(tmp_path):
+    cases = read_campaign(write(tmp_path, 'mesh_size = ["0.6mm", "0.7mm"]\n'))
+    assert [(c.alloy, c.options) for c in cases] == [
+        (alloy, (("mesh_size", size),))
+        for alloy in ("Mg-5Gd", "Mg-10Gd")
+        for size in ("0.6mm", "0.7mm")
+    ]
+    geometry, corrode, test = stages(cases, tmp_path / "store")
+    # two meshes; the march knows no mesh, but one time for the intact solid and two for the scene
+    assert (len(geometry), len(corrode), len(test)) == (2, 4, 8)
+    assert len({task.key for wave in (geometry, corrode, test) for task in wave}) == 14
+
+
+def test_samples_share_geometry_and_the_intact_solid(tmp_path, monkeypatch):
+    class Two:
+        def constants(self, n):
+            return {"interface_diffusivity": (n + 1) * 1e-15}
+
+    monkeypatch.setattr(module, "samples_of", lambda scene, alloy, count: Two())
+    cases = read_campaign(write(tmp_path, head="samples = 3"))
+    assert [(c.alloy, c.sample) for c in cases] == [
+        (alloy, n) for alloy in ("Mg-5Gd", "Mg-10Gd") for n in (1, 2, 3)
+    ]
+    geometry, corrode, test = stages(cases, tmp_path / "store")
+    assert (len(geometry), len(corrode), len(test)) == (1, 8, 8)  # 3 samples and 1 intact, 2 alloys
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("alloys = [", "not a valid TOML file"),
+        ("metals = []", "metals is not known"),
+        ("alloys = []", "alloys is []"),
+        ('alloys = ["Mg-5Gd"]', "immersion is None"),
+        ('alloys = ["Mg-5Gd"]\nimmersion = ["8w"]\nsamples = -1', "samples is -1"),
+        ('alloys = ["Mg-5Gd"]\nimmersion = ["8w"]\nsamples = 5', "has no posterior of Mg-5Gd"),
+        ('alloys = ["Mg-5Gd"]\nimmersion = ["8w"]\noptions = 3', "it must be a table"),
+        ('alloys = ["Mg-5Gd"]\nimmersion = ["8w"]\n[options]\ncolour = "red"', "--colour red"),
+        ('alloys = ["Mg-5Gd"]\nimmersion = ["8w"]\n[options]\nmesh_size = []', "0 scenes"),
+        ('alloys = ["Mg-7Gd"]\nimmersion = ["8w"]', "Mg-7Gd"),
+    ],
+)
+def test_a_campaign_that_cannot_be_is_refused_in_one_sentence(text, words, tmp_path, capsys):
+    path, out = tmp_path / "campaign.toml", tmp_path / "out"
+    path.write_text(text)
+    assert main(["campaign", str(path), "--out", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert words in said and said.count("\n") == 1 and not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        (["--engine", "cloud"], "it must be one of local, dask, mpi"),
+        (["--workers", "0"], "--workers is 0"),
+        (["--scheduler", "tcp://nowhere:1"], "--scheduler goes with --engine dask"),
+    ],
+)
+def test_engines_that_cannot_be_are_refused(more, words, tmp_path, capsys):
+    path = write(tmp_path)
+    assert main(["campaign", str(path), "--out", str(tmp_path / "out"), *more]) == 2
+    assert words in capsys.readouterr().err
+
+
+def test_a_store_that_another_campaign_holds_is_refused(tmp_path, capsys):
+    path, out = write(tmp_path), tmp_path / "out"
+    with RunFolder(out.resolve() / STORE_FOLDER).lock():
+        assert main(["campaign", str(path), "--out", str(out)]) == 2
+    assert "in use by" in capsys.readouterr().err
+
+
+def test_a_task_that_refuses_is_begun_once_and_costs_its_scenes_only(tmp_path, monkeypatch):
+    """One length is impossible; no other scene is lost by it."""
+    cases = read_campaign(write(tmp_path, 'length = ["4mm", "3mm"]\n', times='"0w"'))
+    begun = []
+
+    def fake(content):
+        begun.append((content["stage"], content["alloy"]))
+        short = content["scene"]["geometry"]["parameters"]["length"] < 3.5e-3
+        return "too short" if short else ""
+
+    monkeypatch.setattr(module, "do_task", fake)
+    with ThreadPoolExecutor(1) as executor:
+        path, failures = run_campaign(cases, tmp_path, executor)
+    assert failures == ["too short"] and ("geometry", "Mg-5Gd") in begun
+    rows = path.read_text().splitlines()
+    assert len(rows) == 5 and all(row.endswith("failed") for row in rows[1:])
+
+
+def test_a_child_that_dies_is_begun_three_times(monkeypatch):
+    calls = []
+
+    def died(*arguments, **keywords):
+        calls.append(arguments)
+        return subprocess.CompletedProcess(arguments, -9, "", "")
+
+    monkeypatch.setattr(subprocess, "run", died)
+    assert "exit status -9: no message" in do_task({"stage": "test"})
+    assert len(calls) == 3
+
+
+@pytest.fixture(scope="module")
+def rows(tmp_path_factory):
+    """A small campaign by the local engine: its file, folder and rows."""
+    folder = tmp_path_factory.mktemp("local")
+    path = write(folder, 'mesh_size = "0.8mm"\n')
+    assert main(["campaign", str(path), "--out", str(folder / "out"), "--quiet"]) == 0
+    return path, folder / "out", (folder / "out" / "campaign.csv").read_bytes()
+
+
+def stamps(out: Path) -> dict[Path, int]:
+    found = (out / STORE_FOLDER).rglob("*.stage.json")
+    return {path.relative_to(out): path.stat().st_mtime_ns for path in found}
+
+
+@pytest.mark.slow
+def test_nothing_is_computed_twice(rows, capsys):
+    path, out, table = rows
+    before = stamps(out)
+    assert main(["campaign", str(path), "--out", str(out)]) == 0
+    assert stamps(out) == before and (out / "campaign.csv").read_bytes() == table
+    assert table.count(b"\n") == 5 and b"failed" not in table
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["dask", "mpi"])
+def test_every_engine_gives_the_same_bytes(rows, engine, tmp_path):
+    path, _, table = rows
+    command = [sys.executable, "-m", "pipeline.cli", "campaign", str(path), "--engine", engine]
+    if engine == "dask":
+        pytest.importorskip("distributed")
+    else:
+        python = [sys.executable, "-m", "mpi4py.futures", *command[1:]]
+        command = ["mpirun", "--oversubscribe", "-n", "3", *python]
+    done = subprocess.run(
+        [*command, "--workers", "2", "--out", str(tmp_path)],
+        env=child_environment(1, None), capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert (tmp_path / "campaign.csv").read_bytes() == table
+
+
+@pytest.mark.slow
+def test_a_killed_campaign_goes_on_without_repeating_anything(rows, tmp_path):
+    path, _, table = rows
+    command = [sys.executable, "-m", "pipeline.cli", "campaign", str(path), "--out", str(tmp_path)]
+    kept: dict[Path, int] = {}
+    for patience in (6.0, 12.0, 18.0):
+        process = subprocess.Popen(
+            command, env=child_environment(0, None), start_new_session=True,
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+        time.sleep(patience)
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        now = stamps(tmp_path) if (tmp_path / STORE_FOLDER).exists() else {}
+        assert kept.items() <= now.items()
+        kept = now
+        time.sleep(3.0)  # pulls end with their parent
+    assert kept
+    assert subprocess.run(command, env=child_environment(0, None), check=False).returncode == 0
+    assert kept.items() <= stamps(tmp_path).items()
+    assert (tmp_path / "campaign.csv").read_bytes() == table
