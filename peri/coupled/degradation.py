@@ -140,7 +140,9 @@ class Degradation(CorrosionProblem):
         return {**fields, "liquid_active": rows}
 
     def _amounts(self, minerals: np.ndarray) -> np.ndarray:
-        return minerals.reshape(len(minerals), -1)[:, self.surroundings.space.index]
+        return minerals.reshape(len(minerals), self.discrete.metal.size)[
+            :, self.surroundings.space.index
+        ]
 
     # --- states ---------------------------------------------------------------------------
 
@@ -202,7 +204,7 @@ class Degradation(CorrosionProblem):
             stage.fields["concentration"], stage.fields.get("theta"), stage.numbers["volume_loss"]
         )
         held, span = old["minerals"], tau
-        if self._at_start is not None and held is not self._at_start and held.min() < 0:
+        if self._at_start is not None and held is not self._at_start and held.min(initial=0.0) < 0:
             # The second stage of a step in which a mineral vanishes: this one field is taken from
             # the start of the step at first order, which is positive; the metal keeps its order.
             held, span = self._at_start, tau / GAMMA
@@ -214,7 +216,7 @@ class Degradation(CorrosionProblem):
         minerals = held.copy()
         left = amounts + span * liquid.rates
         left[liquid.rates == -amounts / span] = 0.0  # all of it is gone, to the last digit
-        minerals.reshape(len(minerals), -1)[:, around.space.index] = left
+        minerals.reshape(len(minerals), self.discrete.metal.size)[:, around.space.index] = left
         stage.fields |= {"minerals": minerals, **self._write(liquid)}
         stage.iterations += liquid.iterations
         return stage

@@ -26,6 +26,8 @@ from peri.transport.liquid import LiquidSpace, LiquidState
 from peri.transport.speciation import saturate
 
 _MAXIMUM_ROUNDS = 100
+_ROUND_OFF = 10.0
+"""Where Newton's steps stop to help, a residual of this many times the tolerance will do."""
 _SATURATED = 1e-9
 """ln(Omega) at which a node counts as saturated."""
 
@@ -100,7 +102,7 @@ def _equilibrium(
     absolute: float,
 ) -> int:
     space, mineral = liquid.space, liquid.minerals[number]
-    absolute = max(absolute, liquid.relative * float(np.linalg.norm(space.volume * lowest)))
+    absolute = max(absolute, 0.1 * liquid.relative * float(np.linalg.norm(space.volume * lowest)))
     base = liquid.target(state) + mineral.nu[:, None] * state.extents[number]
     active = state.active[number]
     obstacle = np.full(space.n, np.nan)
@@ -159,7 +161,8 @@ def _kinetic(
     residual = space.volume * growth - space.outflow(state.extents[number])
     norm = float(np.linalg.norm(residual))
     for _ in range(_MAXIMUM_ROUNDS):
-        absolute = max(absolute, liquid.relative * float(np.linalg.norm(space.volume * growth)))
+        moved = float(np.linalg.norm(space.volume * growth))
+        absolute = max(absolute, 0.1 * liquid.relative * moved)
         if norm <= absolute:
             state.rates[number] = growth
             return iterations
@@ -187,6 +190,12 @@ def _kinetic(
             if new_norm < (1 - 1e-4 * share) * norm or new_norm <= absolute:
                 break
             share *= 0.5
+            if share < 1e-6 and norm <= _ROUND_OFF * absolute:
+                # Nothing but round-off is left.
+                state.extents[number], state.ln_component[:] = before, old_m
+                liquid.compose(state)
+                state.rates[number] = rate(mineral.ln_omega(state.ln_component))
+                return iterations
             if share < 1e-6:
                 raise ConvergenceError(
                     f"{mineral.name}: no step along Newton's direction lowers the residual "

@@ -278,11 +278,13 @@ class QuasiSteadyLiquid:
         composition = state.ln_component.copy()
         state.extents *= ratio
         state.migrated *= ratio
+        state.psi *= ratio
         try:
             self.compose(state)
         except CompositionError:
             state.extents[:] = 0.0
             state.migrated[:] = 0.0
+            state.psi[:] = 0.0
             state.ln_component = composition
             self.compose(state)
 
@@ -298,18 +300,18 @@ class QuasiSteadyLiquid:
                 if not self._takes_part(mineral, state, there[i], i):
                     continue
                 before = state.rates[i].copy()
-                used = solve_mineral(self, state, i, there[i] / step, there[i], absolute)
+                used = solve_mineral(self, state, i, there[i] / step, there[i], 0.1 * absolute)
                 state.iterations += used
                 volume = self.space.volume
                 change = max(change, float(np.linalg.norm(volume * (state.rates[i] - before))))
                 absolute = max(
                     absolute, self.relative * float(np.linalg.norm(volume * state.rates[i]))
                 )
-            if change <= 10 * absolute:
+            if change <= absolute:
                 return
         raise ConvergenceError(
             f"minerals: their rates still change by {change:.2g} after {_MAXIMUM_SWEEPS} rounds, "
-            f"{10 * absolute:.2g} wanted; a shorter step or a smaller release will do"
+            f"{absolute:.2g} wanted; a shorter step or a smaller release will do"
         )
 
     def _takes_part(

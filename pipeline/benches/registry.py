@@ -13,6 +13,7 @@ from pathlib import Path
 from perilife_data import did_you_mean
 from pipeline.benches import calibration as bench_calibration
 from pipeline.benches import corrosion as bench_corrosion
+from pipeline.benches import ions as bench_ions
 from pipeline.benches import localised as bench_localised
 from pipeline.benches import operators as bench_operators
 from pipeline.benches import tensile as bench_tensile
@@ -164,6 +165,11 @@ BENCHMARKS: dict[str, Benchmark] = {
         "773,000 cells on two ranks to 10 % strain after 8 weeks (5 minutes)",
         bench_tensile.published_tensile,
         bench_tensile.small_published,
+    ),
+    "nnpp": Benchmark(
+        "ions, pH and minerals around metal: seconds per step, eight weeks (10 minutes)",
+        bench_ions.nnpp,
+        bench_ions.small_nnpp,
     ),
     "scaling": Benchmark(
         "cost and memory from 1e4 to 1e7 nodes, threads 1 and 2, ranks 1, 2 and 4",

@@ -1,0 +1,150 @@
+"""Benchmark of the nonlocal Nernst-Planck stage: seconds per step, eight weeks, what is conserved.
+
+A cylinder of magnesium (9.3 mm3, as the screw) in a cylinder of simulated body fluid, 3 mm x 5 mm.
+Times are of the wall clock, with the processor time beside them, because a busy machine shares its
+cores.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+
+import numpy as np
+
+from peri.corrosion.kinetics import VolumeLossLaw
+from peri.corrosion.scene import CorrosionScene
+from peri.coupled.degradation import Degradation
+from peri.engine.lattice import box_lattice, cylinder
+from peri.engine.marching import TimeStepping, march
+from peri.transport.nernst_planck import TransportOptions
+from pipeline.benches.result import Result
+from pipeline.scene.ions import resolve_ions
+from pipeline.stages.ions import medium_of
+
+STEP = 3 * 3600.0
+WEEK = 7 * 86400.0
+FLUX = 1e-6
+"""mol/m2/s at zero volume loss, about that of Table 5.1."""
+
+GROWING = {"calcite": 1.0, "hydroxyapatite": 8.0}
+"""Nucleation indices below those of the medium beside the metal, so that the minerals do form."""
+
+
+def scene_of(spacing: float) -> CorrosionScene:
+    """Metal of radius 0.86 mm and 4 mm height in the middle of the liquid; horizon 180 um."""
+    lattice = box_lattice([-1.5e-3, -1.5e-3, -2.5e-3], [1.5e-3, 1.5e-3, 2.5e-3], spacing)
+    return CorrosionScene(
+        lattice,
+        max(180e-6, spacing),
+        cylinder(lattice, (0, 0, 0), 0.86e-3, 4e-3),
+        cylinder(lattice, (0, 0, 0), 1.5e-3, 5e-3),
+        solid_concentration=66082.4,
+        saturation_concentration=0.6608,
+        liquid_diffusivity=8.6822e-9,
+        dissolution_flux=FLUX,
+        kinetics=VolumeLossLaw(0.2355),
+    )
+
+
+def problem_of(scene: CorrosionScene, minerals: bool, closure: str) -> Degradation:
+    """The joined problem in SBF, with three minerals or none."""
+    names = ["brucite", "calcite", "hydroxyapatite"] if minerals else []
+    ions = resolve_ions(minerals=names, closure=closure)
+    chemistry = dict(ions.chemistry)
+    chemistry["minerals"] = {
+        n: {**m, "nucleation_index": GROWING.get(n, m["nucleation_index"])}
+        for n, m in chemistry["minerals"].items()
+    }
+    medium = medium_of(dataclasses.replace(ions, chemistry=chemistry))
+    return Degradation(scene, medium, TransportOptions(closure=closure), minerals=True)
+
+
+def _steps(problem: Degradation, steps: int) -> tuple[list[float], list[float]]:
+    """Wall and processor time of each step of 3 h (backward Euler) after the first, s."""
+    marks = [(time.perf_counter(), time.process_time())]
+
+    def mark(fraction: float, text: str) -> None:
+        marks.append((time.perf_counter(), time.process_time()))
+
+    stepping = TimeStepping("backward_euler", step=STEP)
+    march(problem, [STEP * (steps + 1)], stepping, progress=mark)
+    wall, processor = (np.diff([m[i] for m in marks])[2:] for i in range(2))
+    return list(wall), list(processor)
+
+
+def nnpp() -> list[Result]:
+    """The size of the authors' public code: 60 um, ten species and potential in 48 s a step."""
+    return measure(60e-6, 20, (0.4, 1.2, 1.6), 300.0)
+
+
+def small_nnpp() -> list[Result]:
+    """The same in seconds: 180 um, three steps."""
+    return measure(180e-6, 3)
+
+
+def measure(
+    spacing: float, steps: int, targets: tuple[float, ...] = (), whole: float = math.inf
+) -> list[Result]:
+    """Steps of 3 h in three scenes, then eight weeks with controlled steps."""
+    scene = scene_of(spacing)
+    results = [Result("nodes", float(scene.domain.sum()), "1")]
+    for n, (name, minerals, closure) in enumerate(
+        (
+            ("no minerals, no potential", False, "none"),
+            ("three minerals, no potential", True, "none"),
+            ("three minerals and potential", True, "electroneutral"),
+        )
+    ):
+        wall, processor = _steps(problem_of(scene, minerals, closure), steps)
+        wanted = f"<= {targets[n]:g}" if targets else None
+        results += [
+            Result(f"{name}: median step of 3 h", float(np.median(wall)), "s", wanted),
+            Result(f"{name}: its processor time", float(np.median(processor)), "s"),
+        ]
+    problem = problem_of(scene, True, "electroneutral")
+    started, used = time.perf_counter(), time.process_time()
+    done = march(problem, [0.0, 4 * WEEK, 8 * WEEK], TimeStepping())
+    wanted = f"<= {whole:g}" if math.isfinite(whole) else None
+    results += [
+        Result("eight weeks, controlled steps", time.perf_counter() - started, "s", wanted),
+        Result("its processor time", time.process_time() - used, "s"),
+        Result("its steps", float(done.history["time"].size - 1), "1"),
+    ]
+    outputs = done.outputs
+    results += _error_of_steps()
+    results += [
+        Result("lowest concentration", min(float(o["lowest"]) for o in outputs), "mol/m3", ">= 0"),
+        Result(
+            "net charge over ionic strength",
+            max(float(o["net_charge"]) for o in outputs), "1", "<= 1e-12",
+        ),
+        Result(
+            "balance of the worst component",
+            max(float(o["balance"]) for o in outputs), "1", "<= 1e-10",
+        ),
+        Result("highest pH after eight weeks", float(np.nanmax(np.asarray(outputs[-1]["ph"]))), "1"),
+    ]  # fmt: skip
+    for mineral in ("brucite", "calcite", "hydroxyapatite"):
+        amount = float(done.history[f"{mineral}_amount"][-1])
+        results.append(Result(f"{mineral} after eight weeks", 1e6 * amount, "umol"))
+    return results
+
+
+def _error_of_steps() -> list[Result]:
+    """Controlled steps against ones of a quarter, after eight weeks on a lattice of 180 um."""
+    ends = [
+        march(
+            problem_of(scene_of(180e-6), True, "electroneutral"),
+            [8 * WEEK],
+            TimeStepping(rate_change=change),
+        ).outputs[-1]
+        for change in (0.05, 0.0125)
+    ]
+    loss = abs(ends[0]["volume_loss"] / ends[1]["volume_loss"] - 1)
+    ph = np.nanmax(np.abs(np.asarray(ends[0]["ph"]) - np.asarray(ends[1]["ph"])))
+    return [
+        Result("180 um: V_L against steps of a quarter", float(loss), "1", "<= 1e-3"),
+        Result("180 um: pH against steps of a quarter", float(ph), "1", "<= 0.005"),
+    ]
