@@ -114,6 +114,7 @@ def measure(
     ]
     outputs = done.outputs
     results += _error_of_steps()
+    highest = float(np.nanmax(np.asarray(outputs[-1]["ph"])))
     results += [
         Result("lowest concentration", min(float(o["lowest"]) for o in outputs), "mol/m3", ">= 0"),
         Result(
@@ -124,7 +125,7 @@ def measure(
             "balance of the worst component",
             max(float(o["balance"]) for o in outputs), "1", "<= 1e-10",
         ),
-        Result("highest pH after eight weeks", float(np.nanmax(np.asarray(outputs[-1]["ph"]))), "1"),
+        Result("highest pH after eight weeks", highest, "1"),
     ]  # fmt: skip
     for mineral in ("brucite", "calcite", "hydroxyapatite"):
         amount = float(done.history[f"{mineral}_amount"][-1])
