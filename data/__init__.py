@@ -8,6 +8,7 @@ In a checkout this folder is `data/`; it is imported as `perilife_data`.
 (43000000000.0, 'hermann2024')
 """
 
+from .electrodes import Electrode, common_reference, list_electrodes, load_electrode
 from .load import (
     list_alloys,
     list_media,
@@ -26,18 +27,22 @@ __all__ = [
     "KINDS",
     "Alloy",
     "CorrosionParameters",
+    "Electrode",
     "Medium",
     "ParameterSet",
     "Quantity",
     "ReactionSet",
     "Reference",
     "VolumeLossData",
+    "common_reference",
     "did_you_mean",
     "list_alloys",
+    "list_electrodes",
     "list_media",
     "list_parameter_sets",
     "list_reaction_sets",
     "load_alloy",
+    "load_electrode",
     "load_medium",
     "load_parameter_set",
     "load_reaction_set",

@@ -74,6 +74,22 @@ MEDIUM_OPTIONAL = {
     "refresh_interval": _above_zero("time"),
 }
 
+_POTENTIAL = Limits("electric potential", -10, 10)
+ELECTRODE = {"temperature": TEMPERATURE}
+TAFEL_PIECE = {
+    "current_density": _above_zero("current density", 1e8),
+    "tafel_slope": _POTENTIAL,
+    "standard_potential": _POTENTIAL,
+}
+TAFEL_PIECE_OPTIONAL = {"starts_at": _POTENTIAL, "published_tafel_slope": _POTENTIAL}
+BUTLER_VOLMER = {
+    "exchange_current_density": _above_zero("current density", 1e8),
+    "equilibrium_potential": _POTENTIAL,
+    "charge_number": Limits("dimensionless", 1, 4),
+    "anodic_transfer": _above_zero("dimensionless", 2),
+    "cathodic_transfer": _above_zero("dimensionless", 2),
+}
+
 CALIBRATION_SCENE = {
     "diameter": _above_zero("length", 1.0),
     "height": _above_zero("length", 1.0),

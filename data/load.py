@@ -88,6 +88,16 @@ class Table:
             raise self.fail(key, f"is {value!r}; it must be a finite number without quotes")
         return float(value)
 
+    def numbers(self, key: str) -> list[float]:
+        """Return a list of finite numbers without units."""
+        values = self._take(key)
+        good = isinstance(values, list) and all(
+            isinstance(v, int | float) and not isinstance(v, bool) and isfinite(v) for v in values
+        )
+        if not good or not values:
+            raise self.fail(key, f"is {values!r}; it must be a list of finite numbers")
+        return [float(v) for v in values]
+
     def integer(self, key: str, lowest: int, highest: int, default: int | None = None) -> int:
         """Return a whole number within a range."""
         if default is not None and key not in self.entries:

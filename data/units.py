@@ -18,6 +18,8 @@ UNITS: dict[str, dict[str, float]] = {
     "surface reaction rate": {"mol/(m^2 s)": 1.0},
     "specific surface": {"1/m": 1.0, "m^2/m^3": 1.0},
     "temperature": {"K": 1.0, "degC": 1.0},
+    "electric potential": {"V": 1.0, "mV": 1e-3},
+    "current density": {"A/m^2": 1.0, "mA/cm^2": 10.0, "uA/cm^2": 1e-2},
 }
 """Dimension -> unit -> factor to the SI unit, which is the first of each row."""
 

@@ -10,6 +10,7 @@ from perilife_data.schema import Record
 
 LOADERS = {
     "alloys": (perilife_data.list_alloys, perilife_data.load_alloy),
+    "electrodes": (perilife_data.list_electrodes, perilife_data.load_electrode),
     "media": (perilife_data.list_media, perilife_data.load_medium),
     "parameter_sets": (perilife_data.list_parameter_sets, perilife_data.load_parameter_set),
     "reactions": (perilife_data.list_reaction_sets, perilife_data.load_reaction_set),
