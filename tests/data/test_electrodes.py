@@ -105,7 +105,7 @@ REFUSALS = [
     (POINTS, "0.2, ", "", "current_density has 2 numbers and potential 3"),
     (POINTS, "0.2", "true", "curve.current_density is .*must be a list of finite numbers"),
     (POINTS, '"mV"', '"mm"', "potential_unit is 'mm'.*must be one of V, mV"),
-    (POINTS, "\\[curve\\]", "[curve]\nsauce = 1", "curve.sauce is not a known missing"),
+    (POINTS, "\\[curve\\]", "[curve]\nsauce = 1", "curve.sauce is not a known key"),
     (POINTS, "\\Z", "more = 1\n", "curve.more is not a known key"),
 ]
 
