@@ -132,9 +132,9 @@ def stages(cases: Iterable[Case], store: Path) -> list[list[Task]]:
             places = [("geometry", folder.geometry), ("corrode", folder.corrosion(alloy))]
             for wave, (stage, place) in zip(waves, places, strict=False):
                 wave.setdefault(str(place), Task(stage, str(place), path, scene, alloy))
-            for moment in moments:
-                place = str(folder.immersion(alloy, moment.label))
-                task = Task("test", place, path, scene, alloy, moment.label)
+            for moment, hold in itertools.product(moments, scene.holds):
+                place = str(folder.test(alloy, moment.label, hold.name))
+                task = Task("test", place, path, scene, alloy, moment.label, hold.name)
                 waves[2].setdefault(place, task)
     return [list(wave.values()) for wave in waves]
 
@@ -184,10 +184,11 @@ def _done(task: Task) -> bool:
         inputs = corrosion_hash(task.scene, task.alloy)
         return folder.complete(place, "corrode", inputs) is not None
     moment = next(m for m in task.scene.with_intact() if m.label == task.label)
-    place = folder.immersion(task.alloy, task.label)
+    hold = next(h for h in task.scene.holds if h.name == task.hold)
+    place = folder.test(task.alloy, task.label, task.hold)
     needed = (("map", map_hash), ("pull", pull_hash))
     return all(
-        folder.complete(place, stage, inputs(task.scene, task.alloy, moment)) is not None
+        folder.complete(place, stage, inputs(task.scene, task.alloy, moment, hold)) is not None
         for stage, inputs in needed
     )
 
@@ -196,20 +197,24 @@ def table(cases: list[Case], store: Path) -> str:
     """One row per scene and time that the store has, in the order of the campaign file."""
     varied = [key for key, _ in cases[0].options]
     reaction = LOADS[cases[0].scene.tensile.load].reaction
-    header = ["alloy", *varied, "sample", "immersion_days", "volume_loss"]
+    header = ["alloy", *varied, "sample", "hold", "immersion_days", "volume_loss"]
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow([*header, f"peak_{reaction}", "strength_ratio", "status"])
     for case in cases:
         (scene, later), (intact, first) = _parts(case)
-        whole = _tested(store, intact, case.alloy, first[0])
         corroded = StoreFolder(store, scene)
         record = corroded.read_record(corroded.corrosion(case.alloy), "corrode")
-        for n, moment in enumerate(scene.with_intact()):
+        for hold, (n, moment) in itertools.product(
+            (h.name for h in scene.holds), enumerate(scene.with_intact())
+        ):
             if moment not in scene.immersion:
                 continue
-            found = whole if moment.seconds == 0 else _tested(store, scene, case.alloy, moment)
-            lead = [case.alloy, *(value for _, value in case.options), case.sample]
+            whole = _tested(store, intact, case.alloy, first[0], hold)
+            found = whole
+            if moment.seconds > 0:
+                found = _tested(store, scene, case.alloy, moment, hold)
+            lead = [case.alloy, *(value for _, value in case.options), case.sample, hold]
             if found is None or whole is None or record is None:
                 writer.writerow([*lead, f"{moment.days:.10g}", "", "", "", "failed"])
                 continue
@@ -220,9 +225,9 @@ def table(cases: list[Case], store: Path) -> str:
     return buffer.getvalue()
 
 
-def _tested(store: Path, scene: Scene, alloy: str, moment: ImmersionTime) -> dict | None:
+def _tested(store: Path, scene: Scene, alloy: str, moment: ImmersionTime, hold: str) -> dict | None:
     folder = StoreFolder(store, scene)
-    record = folder.read_record(folder.immersion(alloy, moment.label), "pull")
+    record = folder.read_record(folder.test(alloy, moment.label, hold), "pull")
     return None if record is None else record.numbers
 
 

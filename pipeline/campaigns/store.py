@@ -29,7 +29,8 @@ class StoreFolder(RunFolder):
         """Concentration fields of an alloy in this scene."""
         return self.path / "corrode" / corrosion_hash(self.scene, alloy)
 
-    def immersion(self, alloy: str, label: str) -> Path:
+    def test(self, alloy: str, label: str, hold: str) -> Path:
         """Damage map and mechanical test."""
         moment = next(m for m in self.scene.with_intact() if m.label == label)
-        return self.path / "test" / pull_hash(self.scene, alloy, moment)
+        held = next(h for h in self.scene.holds if h.name == hold)
+        return self.path / "test" / pull_hash(self.scene, alloy, moment, held)

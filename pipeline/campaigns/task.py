@@ -35,12 +35,13 @@ class Task:
     scene: Scene
     alloy: str = ""
     label: str = ""
+    hold: str = ""
 
     def to_json(self) -> dict[str, object]:
         """What `do_task` takes, on this machine or another."""
         return {
             "stage": self.stage, "store": self.store, "alloy": self.alloy, "label": self.label,
-            "scene": self.scene.to_json(),
+            "hold": self.hold, "scene": self.scene.to_json(),
         }  # fmt: skip
 
 
@@ -75,8 +76,10 @@ def perform(content: dict) -> None:
         cycle.corrode(content["alloy"])
     else:
         moment = next(m for m in scene.with_intact() if m.label == content["label"])
-        cycle.map(content["alloy"], moment)
-        cycle.pull([(content["alloy"], moment)])
+        hold = next(h for h in scene.holds if h.name == content["hold"])
+        test = (content["alloy"], moment, hold)
+        cycle.map(*test)
+        cycle.pull([test])
 
 
 def main() -> int:

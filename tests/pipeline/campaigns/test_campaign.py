@@ -195,6 +195,9 @@ def test_a_killed_campaign_goes_on_without_repeating_anything(rows, tmp_path):
         kept = now
         time.sleep(3.0)  # pulls end with their parent
     assert kept
-    assert subprocess.run(command, env=child_environment(0, None), check=False).returncode == 0
+    done = subprocess.run(
+        command, env=child_environment(0, None), capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
     assert kept.items() <= stamps(tmp_path).items()
     assert (tmp_path / "campaign.csv").read_bytes() == table
