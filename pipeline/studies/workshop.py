@@ -35,7 +35,8 @@ class Pull:
     curve, choice: line of the plot and point on it; field: name of the corrosion field, empty for
     that of the quick lattice; samples: how often the edges of a cell are halved for the mean of f0
     over it (fem.quadrature.sampling_points; 1 in a run), None: f0 at the quadrature points; grip:
-    length held at either end, 0: the end faces, None: as in a run (scene.resolve.grip_length).
+    length held at either end, 0: the end faces, None: the shank, as in a run (scene.holding);
+    ends: edge length at both end faces, None: as elsewhere.
     """
 
     curve: str
@@ -52,6 +53,7 @@ class Pull:
     field: str = ""
     samples: int | None = 1
     grip: float | None = None
+    ends: float | None = None
 
     def setting(self) -> tuple:
         """Everything but what is pulled."""
@@ -110,9 +112,12 @@ class Workshop:
 
     def corrode(
         self, alloy: str, immersion: Sequence[str], name: str = "",
-        spacing: float | None = None, rate_change: float | None = None,
+        spacing: float | None = None, rate_change: float | None = None, **changes: object,
     ) -> float:  # fmt: skip
-        """March an alloy and store its fields as `name`; returns the processor seconds."""
+        """March an alloy and store its fields as `name`; returns the processor seconds.
+
+        changes: of the scene (scene.resolve.resolve_scene), the rate change aside.
+        """
         from peri.engine.marching import TimeStepping
         from peri.omissions.planning import corrode_lean
         from pipeline.stages.corrosion import (
@@ -122,7 +127,8 @@ class Workshop:
             metal_of,
         )
 
-        changes = {} if rate_change is None else {"corrosion": {"rate_change": rate_change}}
+        if rate_change is not None:
+            changes["corrosion"] = {**changes.get("corrosion", {}), "rate_change": rate_change}
         scene = self.scene(alloy, immersion, spacing=spacing, **changes)
         solid = self.solid(scene)
         begun = time.process_time()
@@ -137,22 +143,29 @@ class Workshop:
             tolerance=scene.corrosion.tolerance,
         )
         seconds = time.process_time() - begun
-        for moment, concentration in zip(times, result.concentration, strict=True):
+        fields = zip(times, result.concentration, result.volume_loss, strict=True)
+        for moment, concentration, loss in fields:
             np.savez(
                 _field_path(self.folder, name, alloy, moment.label),
                 origin=lattice.origin, spacing=lattice.spacing, concentration=concentration,
-                metal=metal, solid=march.solid_concentration,
+                metal=metal, solid=march.solid_concentration, capacity=march.capacity(),
+                volume_loss=loss,
             )  # fmt: skip
         self.corrosion_seconds[alloy, name] = seconds
         return seconds
 
-    def mesh(self, size: float, fine: float) -> Path:
+    def field(self, name: str, alloy: str, immersion: str) -> Path:
+        """File of a corrosion field that `corrode` stored."""
+        return _field_path(self.folder, name, alloy, immersion)
+
+    def mesh(self, size: float, fine: float, ends: float | None = None) -> Path:
         """File of the mesh of these sizes."""
-        path = _mesh_path(self.folder, size, fine)
+        path = _mesh_path(self.folder, size, fine, ends)
         if not path.exists():
             from pipeline.geometry.solids import tetrahedral_mesh
 
-            mesh = tetrahedral_mesh(self.solid(self.scene("Mg-5Gd", ["0w"])), size, fine)
+            solid = self.solid(self.scene("Mg-5Gd", ["0w"]))
+            mesh = tetrahedral_mesh(solid, size, fine, (ends, ends))
             np.savez(path, points=mesh.points, cells=mesh.cells)
         return path
 
@@ -162,8 +175,8 @@ class Workshop:
     ) -> list[Row]:  # fmt: skip
         """Run pulls, `workers` at a time; `done` hears each row; the order is that of the pulls."""
         pulls = list(pulls)
-        for size, fine in {(p.mesh_size, p.mesh_size_fine): None for p in pulls}:
-            self.mesh(size, fine)
+        for sizes in {(p.mesh_size, p.mesh_size_fine, p.ends): None for p in pulls}:
+            self.mesh(*sizes)
         before = dict(os.environ)  # what is spawned inherits it
         os.environ.update(child_environment(ranks=1, threads=1))
         try:
@@ -188,8 +201,9 @@ def _field_path(folder: Path, name: str, alloy: str, immersion: str) -> Path:
     return folder / f"field-{name}-{alloy}-{immersion}.npz"
 
 
-def _mesh_path(folder: Path, size: float, fine: float) -> Path:
-    return folder / f"mesh-{1e6 * size:.0f}-{1e6 * fine:.0f}.npz"
+def _mesh_path(folder: Path, size: float, fine: float, ends: float | None) -> Path:
+    refined = "" if ends is None else f"-{1e6 * ends:.0f}"
+    return folder / f"mesh-{1e6 * size:.0f}-{1e6 * fine:.0f}{refined}.npz"
 
 
 def _warm_up() -> None:
@@ -228,7 +242,7 @@ def pull_once(folder: Path, pull: Pull, limit: float = LIMIT_SECONDS) -> Row:
 
     scene = resolve_scene([pull.alloy], ["0w"], "quick")
     values, test = scene.alloy(pull.alloy).material, scene.tensile
-    with np.load(_mesh_path(folder, pull.mesh_size, pull.mesh_size_fine)) as mesh:
+    with np.load(_mesh_path(folder, pull.mesh_size, pull.mesh_size_fine, pull.ends)) as mesh:
         points, cells = mesh["points"], mesh["cells"]
     with np.load(_field_path(folder, pull.field, pull.alloy, pull.immersion)) as field:
         damage = mapped_damage(points, cells, pull, field, 1.0 / values.q1)
@@ -316,7 +330,7 @@ def read_rows(path: Path) -> list[Row]:
         for entry in csv.DictReader(file):
             values: dict[str, object] = {}
             for field in fields(Row):
-                text = entry[field.name]
+                text = entry.get(field.name, "")
                 kind, _, empty = str(field.type).partition(" | ")
                 if empty:
                     values[field.name] = kinds[kind](text) if text else None

@@ -1,0 +1,86 @@
+"""The published tensile outcome: statements, verdicts, and the oracle that needs no mesh."""
+
+import numpy as np
+import pytest
+
+from pipeline.studies import published as study
+from pipeline.studies.workshop import Row, Workshop
+
+# the course of the strength left with cells of 50 um at both end faces, as `study published` prints
+FIVE = {"1w": 0.69, "2w": 0.57, "4w": 0.43, "8w": 0.27, "24w": 0.07}
+TEN = {"1w": 0.76, "2w": 0.64, "4w": 0.38, "8w": 0.25, "24w": 0.15}
+
+
+def strains(first: float, later: float) -> dict[str, float]:
+    return {"0w": first, **dict.fromkeys(study.WEEKS, later)}
+
+
+def verdicts(five, ten, ductility=(0.05, 0.02)) -> list[bool | None]:
+    course = {study.FAST: five, study.SLOW: ten}
+    ductile = {alloy: strains(*ductility) for alloy in course}
+    return study.Reading("", course, ductile, {}).verdicts()
+
+
+def test_each_statement_can_be_shown_and_can_fail():
+    assert verdicts(FIVE, TEN) == [True] * 6 + [False]
+    assert verdicts(FIVE, TEN, (0.05, 0.06)) == [True] * 5 + [False, True]
+    # a quarter apart at first, never ahead, and far too strong in the end
+    assert verdicts({t: 0.6 for t in FIVE}, {t: 0.9 for t in TEN})[:5] == [False] * 5
+    # always ahead: the order does not reverse
+    assert verdicts({t: 0.9 for t in FIVE}, TEN)[1:3] == [True, False]
+
+
+def test_what_a_reading_did_not_compute_it_does_not_say():
+    assert verdicts({"24w": 0.07}, {"24w": 0.15})[:5] == [None, None, None, True, True]
+    late = study.Reading("", {study.FAST: {}, study.SLOW: {}}, {}, {})
+    assert late.verdicts() == [None] * len(study.STATEMENTS)
+
+
+@pytest.mark.parametrize(
+    ("shown", "word"),
+    [
+        ([True, True, None], "reproduced"),
+        ([False, None], "not reproduced"),
+        ([True, False], "not decidable"),
+        ([None], "not decidable"),
+    ],
+)
+def test_a_verdict_is_what_all_readings_agree_on(shown, word):
+    assert study.verdict(shown) == word
+
+
+def test_the_course_of_a_reading_is_over_its_own_intact_screw():
+    def row(alloy: str, time: str, force: float) -> Row:
+        return Row(
+            "P1", "", alloy, time, "P1", 3e-4, 2e-4, 0.005, peak_force=force, strain_at_peak=0.01
+        )
+
+    rows = [row(study.FAST, "0w", 400.0), row(study.FAST, "24w", 20.0), row(study.SLOW, "8w", 1.0)]
+    rows.append(row(study.FAST, "8w", float("nan")))  # given up
+    found = study.reading("P1", rows)
+    assert found.course == {study.FAST: {"24w": pytest.approx(0.05)}, study.SLOW: {}}
+    assert "| P1 | Mg-5Gd |  |  |  |  | 5.0 |" in "\n".join(study.tables([found], []))
+
+
+def test_the_weakest_layer_is_known_without_a_mesh(tmp_path):
+    """Two blocks of metal, the outermost layer 60 and 30 % dissolved: by 1 - q1 f0."""
+    shape = (3, 3, 6)
+    metal = np.ones(shape, bool)
+    concentration = np.full(shape, 2.0)
+    concentration[:, :, 0] = 2.0 * (1 - 0.6)
+    concentration[:, :, -1] = 2.0 * (1 - 0.3)
+    path = tmp_path / "field.npz"
+    np.savez(
+        path, spacing=(1e-4,) * 3, metal=metal, capacity=np.ones(shape), solid=2.0,
+        concentration=concentration,
+    )  # fmt: skip
+    assert study.weakest_layers(path) == pytest.approx((1 - 1.5 * 0.6, 1 - 1.5 * 0.3))
+
+
+@pytest.mark.slow
+def test_the_outermost_layer_of_the_screw_after_24_weeks(tmp_path):
+    """Measured 8.6 % at the slot's end, 13.4 % at the bottom (quick lattice, Table 5.1)."""
+    shop = Workshop(tmp_path)
+    shop.corrode(study.FAST, ["0w", "24w"])
+    bottom, top = study.weakest_layers(shop.field("", study.FAST, "24w"))
+    assert (top, bottom) == pytest.approx((0.0857, 0.1340), abs=0.002)
