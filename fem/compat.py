@@ -96,16 +96,20 @@ def _adjacency(data: np.ndarray, offsets: np.ndarray) -> Any:
 
 def _make(comm: MPI.Comm, points: np.ndarray, cells: np.ndarray, plan: Any, order: int) -> tuple:
     """Mesh with the cells where `plan` has them, and its Lagrange space of vectors."""
+    make = _make_0_5 if check_version().startswith("0.5.") else _make_0_9
+    return make(comm, points, cells, plan, order)
+
+
+def check_version() -> str:
+    """Version of the installed dolfinx; ImportError where there is none or one not tried."""
     import dolfinx
 
-    version = tuple(int(part) for part in dolfinx.__version__.split(".")[:2])
-    if version == (0, 5):
-        return _make_0_5(comm, points, cells, plan, order)
-    if version == (0, 9):
-        return _make_0_9(comm, points, cells, plan, order)
-    raise ImportError(
-        f"dolfinx is {dolfinx.__version__}; fem/compat.py knows 0.5 (Debian 12) and 0.9 (Debian 13)"
-    )
+    version = str(dolfinx.__version__)
+    if version.split(".")[:2] not in (["0", "5"], ["0", "9"]):
+        raise ImportError(
+            f"dolfinx is {version}; fem/compat.py knows 0.5 (Debian 12) and 0.9 (Debian 13)"
+        )
+    return version
 
 
 def _make_0_5(comm, points, cells, plan, order) -> tuple:

@@ -9,9 +9,9 @@ import errno
 import json
 import logging
 import os
-import re
 import sys
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 
 from perilife_data import did_you_mean
@@ -19,6 +19,8 @@ from pipeline.calibration.command import add_calibrate_options
 from pipeline.campaigns.options import add_campaign_options, add_design_options
 from pipeline.record import interruption
 from pipeline.scene.options import add_scene_options
+from pipeline.scene.parser import OneSentenceParser
+from pipeline.scene.scene import Scene
 
 INTERRUPTED = 130
 
@@ -33,42 +35,19 @@ STUDIES = {
 }
 
 
-class _Parser(argparse.ArgumentParser):
-    """A parser that refuses in one sentence, without repeating the usage."""
-
-    def __init__(self, *arguments: object, **options: object) -> None:
-        super().__init__(*arguments, **options)
-        # no option begins with a digit, so that -2mm is a (refused) length and no option
-        self._negative_number_matcher = re.compile(r"-\.?\d")
-
-    def error(self, message: str) -> None:
-        """Refuse, with the nearest command or option where one was not understood."""
-        unknown = re.search(r"(?:unrecognized arguments: |invalid choice: ')([^\s']+)", message)
-        near = did_you_mean(unknown.group(1), self._names()) if unknown else ""
-        raise ValueError(f"{message}{near}; see `{self.prog} --help`")
-
-    def _names(self) -> set[str]:
-        """Every option and command of this parser and of those below it."""
-        names = set(self._option_string_actions)
-        for action in self._actions:
-            if isinstance(action, argparse._SubParsersAction):
-                names |= set(action.choices)
-                for parser in action.choices.values():
-                    names |= parser._names()
-        return names
-
-
 def build_parser() -> argparse.ArgumentParser:
     """The parser of `perilife` with all its subcommands."""
-    parser = _Parser(
+    parser = OneSentenceParser(
         prog="perilife",
         description="Residual strength of biodegradable magnesium implants after immersion.",
     )
     parser.add_argument("--version", action="store_true", help="print the version and end")
     parser.add_argument("--verbose", action="store_true", help="log what the libraries do")
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND", parser_class=_Parser)
+    commands = parser.add_subparsers(
+        dest="command", metavar="COMMAND", parser_class=OneSentenceParser
+    )
 
-    def add(name: str, action: Callable[[argparse.Namespace], int], text: str) -> _Parser:
+    def add(name: str, action: Callable[[argparse.Namespace], int], text: str) -> OneSentenceParser:
         command = commands.add_parser(name, help=text, description=text, allow_abbrev=False)
         command.set_defaults(action=action)
         return command
@@ -109,6 +88,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_folder_options(add("report", _report, "summary.csv and report.html of a run folder"))
     plan = add("plan", _plan, "what a run would compute, what not and why, time and memory")
     add_scene_options(plan)
+    _add_machine_options(plan)
     plan.add_argument("--json", action="store_true", help="as one JSON object")
     calibrate = add("calibrate", _calibrate, "constants from measured volume loss, with doubts")
     add_scene_options(calibrate, immersion=False)
@@ -218,15 +198,26 @@ def _interrupted(options: argparse.Namespace) -> int:
     return INTERRUPTED
 
 
+def _scene(options: argparse.Namespace) -> tuple[Scene, object]:
+    """The scene of the options, and its solid where that had to be built."""
+    from pipeline.scene.options import scene_from_options
+
+    scene = scene_from_options(options)
+    if options.spacing != "auto":
+        return scene, None
+    from pipeline.stages.sizes import with_fitting_spacing
+
+    return with_fitting_spacing(scene)
+
+
 def _run(options: argparse.Namespace) -> int:
     from pipeline.life_cycle import run_life_cycle
     from pipeline.record.machine import check_counts
     from pipeline.record.progress import progress_for
     from pipeline.record.run_folder import RunFolder
-    from pipeline.scene.options import scene_from_options
 
     check_counts(options.np, options.pulls, options.oversubscribe)
-    scene = scene_from_options(options)
+    scene, solid = _scene(options)
     folder = RunFolder(options.out)
     with progress_for(sys.stderr, options.quiet) as progress:
         shared = {
@@ -236,7 +227,7 @@ def _run(options: argparse.Namespace) -> int:
             "progress": progress,
         }
         if options.samples is None:
-            rows = run_life_cycle(scene, folder, **shared)
+            rows = run_life_cycle(scene, folder, solid=solid, **shared)
         else:
             from pipeline.campaigns.bands import run_with_bands
 
@@ -252,12 +243,12 @@ def _run(options: argparse.Namespace) -> int:
 def _geometry(options: argparse.Namespace) -> int:
     from pipeline.life_cycle import LifeCycle
     from pipeline.record.progress import progress_for
-    from pipeline.scene.options import scene_from_options
     from pipeline.stages.opening import open_run
 
-    scene = scene_from_options(options)
+    scene, solid = _scene(options)
+    stages = ("geometry", "corrode", "map")
     with (
-        open_run(scene, options.out, options.resume) as (folder, solid),
+        open_run(scene, options.out, options.resume, solid=solid, stages=stages) as (folder, solid),
         progress_for(sys.stderr, options.quiet) as progress,
     ):
         record = LifeCycle(scene, folder, progress=progress, solid=solid).geometry()
@@ -267,18 +258,20 @@ def _geometry(options: argparse.Namespace) -> int:
 
 
 def _corrode(options: argparse.Namespace) -> int:
-    return _stages(options, lambda cycle, alloys, tests: [cycle.corrode(a) for a in alloys])
+    return _stages(
+        options, lambda cycle, alloys, tests: [cycle.corrode(a) for a in alloys], "corrode"
+    )
 
 
 def _map(options: argparse.Namespace) -> int:
-    return _stages(options, lambda cycle, alloys, tests: [cycle.map(*test) for test in tests])
+    return _stages(options, lambda cycle, alloys, tests: [cycle.map(*t) for t in tests], "map")
 
 
 def _pull(options: argparse.Namespace) -> int:
     from pipeline.record.machine import check_counts
 
     check_counts(options.np, options.pulls, options.oversubscribe)
-    return _stages(options, lambda cycle, alloys, tests: cycle.pull(tests))
+    return _stages(options, lambda cycle, alloys, tests: cycle.pull(tests), "pull")
 
 
 def _report(options: argparse.Namespace) -> int:
@@ -289,11 +282,14 @@ def _report(options: argparse.Namespace) -> int:
     return _stages(options, action)
 
 
-def _stages(options: argparse.Namespace, action: Callable) -> int:
-    """Open the run folder of a stage command, lock it and let `action` work on it."""
+def _stages(options: argparse.Namespace, action: Callable, stage: str = "") -> int:
+    """Open the run folder of a stage command, lock it and let `action` work on it.
+
+    stage: the one for which the machine is checked first.
+    """
     from pipeline.life_cycle import LifeCycle
     from pipeline.record.progress import progress_for
-    from pipeline.stages.opening import read_run
+    from pipeline.stages.opening import check_stage, read_run
 
     folder, scene = read_run(options.out)
     names = getattr(options, "alloy", None) or [alloy.name for alloy in scene.alloys]
@@ -303,27 +299,33 @@ def _stages(options: argparse.Namespace, action: Callable) -> int:
     ways = getattr(options, "hold", None)
     holds = scene.holds if ways is None else [scene.hold(name) for name in ways]
     tests = [(alloy, time, hold) for hold in holds for alloy in alloys for time in times]
+    ranks, workers = getattr(options, "np", 1), getattr(options, "pulls", None)
     with folder.lock(), progress_for(sys.stderr, options.quiet) as progress:
-        cycle = LifeCycle(
-            scene,
-            folder,
-            ranks=getattr(options, "np", 1),
-            workers=getattr(options, "pulls", None),
-            progress=progress,
-        )
+        if stage:
+            check_stage(folder, scene, stage, ranks, workers)
+        cycle = LifeCycle(scene, folder, ranks=ranks, workers=workers, progress=progress)
         action(cycle, alloys, tests)
     return 0
 
 
 def _plan(options: argparse.Namespace) -> int:
-    from pipeline.scene.options import scene_from_options
+    from pipeline.record.machine import check_counts
+    from pipeline.stages.geometry import build_solid
     from pipeline.stages.plan import make_plan, print_plan
+    from pipeline.stages.readiness import examine_machine, print_checks
+    from pipeline.stages.sizes import check_screw
 
-    plan = make_plan(scene_from_options(options), with_march=True)
+    check_counts(options.np, options.pulls, options.oversubscribe)
+    scene, solid = _scene(options)
+    check_screw(scene)
+    solid = solid or build_solid(scene)
+    plan = make_plan(scene, solid, options.pulls, with_march=True, ranks=options.np)
+    checks = examine_machine(scene, solid, plan, Path.cwd(), options.np)
     if options.json:
-        print(json.dumps(plan.to_json(), indent=2))
+        print(json.dumps({**plan.to_json(), "machine": [asdict(c) for c in checks]}, indent=2))
     else:
         print_plan(plan)
+        print_checks(checks)
     return 0
 
 

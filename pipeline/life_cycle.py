@@ -42,16 +42,21 @@ def run_life_cycle(
     ranks: int = 1,
     workers: int | None = None,
     progress: Progress | None = None,
+    solid: object = None,
 ) -> list[SummaryRow]:
     """Check the scene, open (or with `resume` reopen) the run folder `out` and do every stage.
 
+    solid: that of the scene, where it has been built already.
     Returns the rows of summary.csv.  Raises ValueError, OSError or MemoryError with one sentence
     for what cannot be computed, TensileStageError for a tensile test without a result.
     """
     from pipeline.stages.opening import open_run
 
     path = out.path if isinstance(out, RunFolder) else out
-    with open_run(scene, path, resume) as (folder, solid):
+    stages = ("geometry", "corrode", "map", "pull")
+    with open_run(
+        scene, path, resume, solid=solid, stages=stages, ranks=ranks, workers=workers
+    ) as (folder, solid):
         cycle = LifeCycle(
             scene, folder, ranks=ranks, workers=workers, progress=progress, solid=solid
         )

@@ -11,6 +11,8 @@ import signal
 import subprocess
 from collections.abc import Iterable, Sequence
 
+from pipeline.record import interruption
+
 _PR_SET_PDEATHSIG = 1
 _libc = ctypes.CDLL(None, use_errno=True)
 
@@ -43,13 +45,21 @@ def start(
     To be called in a thread that lives as long as the program.
     """
     parent, number = os.getpid(), signal.SIGTERM if launcher else signal.SIGKILL
-    return subprocess.Popen(
-        command,
-        pass_fds=tuple(keep),
-        start_new_session=True,
-        preexec_fn=lambda: end_with_parent(number, parent),
-        **options,
-    )
+    child = None
+    try:
+        with interruption.held():
+            child = subprocess.Popen(
+                command,
+                pass_fds=tuple(keep),
+                start_new_session=True,
+                preexec_fn=lambda: end_with_parent(number, parent),
+                **options,
+            )
+    except KeyboardInterrupt:
+        if child is not None:
+            end(child)
+        raise
+    return child
 
 
 def end(process: subprocess.Popen, patience: float = 5.0) -> None:

@@ -6,8 +6,11 @@ remembers that it was asked; long work looks with `check`.
 
 import signal
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 _asked = threading.Event()
+_held = threading.Event()
 
 
 def listen() -> None:
@@ -23,6 +26,21 @@ def check() -> None:
         raise KeyboardInterrupt
 
 
+@contextmanager
+def held() -> Iterator[None]:
+    """Within, a request to end is remembered only; it is raised at the end.
+
+    For work that calls Python from C, such as a fork, where an exception would be printed and lost.
+    """
+    _held.set()
+    try:
+        yield
+    finally:
+        _held.clear()
+    check()
+
+
 def _interrupt(number: int, frame: object) -> None:
     _asked.set()
-    raise KeyboardInterrupt
+    if not _held.is_set():
+        raise KeyboardInterrupt

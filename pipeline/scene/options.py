@@ -70,7 +70,11 @@ def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -
     screw.add_argument("--solid", metavar="FILE", help="closed solid instead: STEP, BREP or STL")
     screw.add_argument("--unit", metavar="U", help=f"of the solid: {', '.join(METRES_PER)} (mm)")
     corrosion = parser.add_argument_group("corrosion, where the preset is not wanted")
-    corrosion.add_argument("--spacing", metavar="LENGTH", help="lattice spacing")
+    corrosion.add_argument(
+        "--spacing",
+        metavar="LENGTH",
+        help="lattice spacing; auto: the preset's, or finer where the solid needs it",
+    )
     corrosion.add_argument("--horizon", metavar="LENGTH", help="the grips hold that much more, too")
     corrosion.add_argument("--step", metavar="TIME", help="fixed time step (controlled)")
     corrosion.add_argument("--rate-change", type=float, metavar="X", help="step control")
@@ -213,7 +217,7 @@ def scene_from_options(options: argparse.Namespace) -> Scene:
         options.resolution,
         parameter_set=options.parameters or DEFAULT_PARAMETER_SET,
         geometry=_geometry(options),
-        spacing=length("spacing"),
+        spacing=None if options.spacing == "auto" else length("spacing"),
         horizon=length("horizon"),
         mesh_size=length("mesh_size"),
         mesh_size_fine=length("mesh_size_fine"),

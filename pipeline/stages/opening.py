@@ -3,34 +3,50 @@
 import json
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from pipeline.record.run_folder import SCENE_FILE, RunFolder, RunFolderError, write_json
-from pipeline.record.stage_hashes import geometry_hash
+from pipeline.record.stage_hashes import geometry_hash, pull_hash
 from pipeline.scene.scene import Scene, SceneError, scene_from_json
 
 
 @contextmanager
-def open_run(scene: Scene, out: str | Path, resume: bool) -> Iterator[tuple[RunFolder, object]]:
+def open_run(
+    scene: Scene,
+    out: str | Path,
+    resume: bool,
+    *,
+    solid: object = None,
+    stages: Iterable[str] = ("geometry", "corrode", "map"),
+    ranks: int = 1,
+    workers: int | None = None,
+) -> Iterator[tuple[RunFolder, object]]:
     """Check scene, machine and folder, then create or reopen the folder and hold its lock.
 
+    solid: of the scene, where it has been built already; stages, ranks, workers: what is to be
+    done, for which the machine is checked (readiness.check_machine) unless it all is done.
     Yields the folder and the solid (None where the geometry is complete already).  A folder that
     this call created is removed again when nothing in it was completed because of a refusal.
 
     Raises ValueError, OSError or MemoryError with one sentence.
     """
-    from pipeline.stages.plan import check_resources
+    from pipeline.stages.geometry import build_solid, read_surface
+    from pipeline.stages.readiness import check_machine
+    from pipeline.stages.sizes import check_screw
 
+    check_screw(scene)
     folder = RunFolder(out)
     check_folder(folder, scene, resume)
-    solid = None
     if not folder.complete(folder.geometry, "geometry", geometry_hash(scene)):
-        from pipeline.stages.geometry import build_solid
-
-        solid = build_solid(scene)
-        check_resources(scene, solid, folder.path)
+        solid = solid or build_solid(scene)
+        check_machine(scene, solid, folder.path, ranks, workers, stages)
+    else:
+        solid = None
+        if not all_pulled(folder, scene):
+            there = read_surface(folder.geometry)
+            check_machine(scene, there, folder.path, ranks, workers, stages)
     absent = [p for p in (folder.path, *folder.path.absolute().parents) if not p.exists()]
     with folder.lock():
         created = not folder.scene_file.exists()
@@ -42,6 +58,36 @@ def open_run(scene: Scene, out: str | Path, resume: bool) -> Iterator[tuple[RunF
             if created and not any(folder.path.rglob("*.stage.json")):
                 _remove(folder.path, absent)
             raise
+
+
+def check_stage(
+    folder: RunFolder, scene: Scene, stage: str, ranks: int = 1, workers: int | None = None
+) -> None:
+    """Refuse a stage of an open run folder that this machine cannot do (readiness.check_machine).
+
+    Nothing is looked at where the geometry is not complete, without which the stage is refused.
+    """
+    from pipeline.stages.geometry import read_surface
+    from pipeline.stages.readiness import check_machine
+
+    ready = folder.complete(folder.geometry, "geometry", geometry_hash(scene))
+    if ready and not all_pulled(folder, scene):
+        solid = read_surface(folder.geometry)
+        check_machine(scene, solid, folder.path, ranks, workers, [stage])
+
+
+def all_pulled(folder: RunFolder, scene: Scene) -> bool:
+    """Whether no tensile test is left to do."""
+    return all(
+        folder.complete(
+            folder.test(alloy.name, moment.label, hold.name),
+            "pull",
+            pull_hash(scene, alloy.name, moment, hold),
+        )
+        for hold in scene.holds
+        for alloy in scene.alloys
+        for moment in scene.with_intact()
+    )
 
 
 def read_run(out: str | Path) -> tuple[RunFolder, Scene]:

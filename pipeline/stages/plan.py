@@ -4,7 +4,6 @@ Everything here follows from the scene and its solid alone; nothing is computed 
 """
 
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -13,12 +12,10 @@ from peri.engine.influence import diffusion_stencil
 from pipeline.geometry.surface import Solid
 from pipeline.record import machine
 from pipeline.scene.loads import LOADS
-from pipeline.scene.scene import OMITTABLE, HoldScene, Scene, SceneError, ScrewGeometry
+from pipeline.scene.scene import OMITTABLE, HoldScene, Scene, ScrewGeometry
 from pipeline.scene.units import format_bytes, format_length, format_seconds
 from pipeline.stages.corrosion import domain_lattice, liquid_domain, march_omissions
-
-CELLS_PER_FEATURE = 2
-"""Lattice cells that the smallest feature of a solid must span."""
+from pipeline.stages.sizes import check_screw, check_sizes
 
 BASE_MEMORY = 400e6
 """Bytes of an idle process with the libraries loaded (measured)."""
@@ -26,7 +23,10 @@ BASE_MEMORY = 400e6
 
 @dataclass(frozen=True)
 class Task:
-    """One piece of the plan: what it is, its size in words, seconds and bytes expected."""
+    """One piece of the plan: what it is, its size in words, seconds and bytes expected.
+
+    memory: of all processes together, `at_once` of like size.
+    """
 
     stage: str
     what: str
@@ -34,6 +34,7 @@ class Task:
     seconds: float
     memory: float
     disk: float
+    at_once: int = 1
 
 
 @dataclass(frozen=True)
@@ -94,14 +95,17 @@ def make_plan(
     solid: Solid | None = None,
     workers: int | None = None,
     with_march: bool = False,
+    ranks: int = 1,
 ) -> Plan:
     """Plan a scene; builds the solid when it is not given.
 
+    workers: pulls at a time, None as many as the cores allow; ranks: MPI ranks per pull.
     with_march: also find out what each march can leave out and with which bound; this solves for
     the bound of the liquid's concentration once per alloy.
 
     Raises ValueError with one sentence when the lattice is too coarse for the solid.
     """
+    check_screw(scene)
     if solid is None:
         from pipeline.stages.geometry import build_solid
 
@@ -110,7 +114,7 @@ def make_plan(
     nodes, metal, bonds = _lattice_counts(scene, solid)
     counts = [_mesh_counts(scene, solid, hold) for hold in scene.holds]
     cells, unknowns, quadrature = (max(numbers) for numbers in zip(*counts, strict=True))
-    workers = workers or machine.processor_cores()
+    workers = workers or max(1, machine.processor_cores() // ranks)
     times = scene.with_intact()
     pulls = len(scene.alloys) * len(times)  # in each way of holding
     tasks = [
@@ -158,8 +162,9 @@ def make_plan(
                 f"{pulls} {LOADS[test.load].test}s ({hold.name}), {at_once} at a time",
                 f"{each:,} unknowns each ({test.element})",
                 COST.tensile_seconds_per_unknown * each * increments * -(-pulls // at_once),
-                at_once * (BASE_MEMORY + COST.tensile_bytes_per_unknown * each),
+                at_once * (ranks * BASE_MEMORY + COST.tensile_bytes_per_unknown * each),
                 COST.disk_bytes_per_unknown * each * pulls,
+                at_once,
             )
         )
     return Plan(
@@ -192,52 +197,6 @@ def _ions_in_words(scene: Scene) -> str:
     species = len(scene.ions.chemistry["charge_number"])
     minerals = ", ".join(scene.ions.minerals) or "no minerals"
     return f"; {species} species of {scene.ions.medium}, {minerals}"
-
-
-def check_sizes(scene: Scene, solid: Solid) -> None:
-    """Refuse a lattice too coarse for the solid's smallest feature, and grips that leave no test.
-
-    Between the grips there must be two edges of the mesh at least.
-    """
-    length = float(np.ptp(solid.points[:, 2]))
-    for hold in scene.holds:
-        grips = (hold.tensile.bottom_grip, hold.tensile.top_grip)
-        if sum(grips) > length - 2.0 * hold.mesh.size:
-            raise SceneError(
-                f"the grips hold {format_length(grips[0])} and {format_length(grips[1])} "
-                f"(--bottom-grip, --top-grip); together it must be at most "
-                f"{format_length(max(length - 2.0 * hold.mesh.size, 0.0))}, the length of the "
-                f"{solid.name} less two edges of the mesh"
-            )
-    limit = solid.smallest_feature / CELLS_PER_FEATURE
-    if scene.lattice.spacing > limit * (1 + 1e-9):
-        raise SceneError(
-            f"lattice spacing is {format_length(scene.lattice.spacing)}; it must be at most "
-            f"{format_length(limit)}, half of the smallest feature of the {solid.name}"
-        )
-
-
-def check_resources(scene: Scene, solid: Solid, folder: Path, workers: int | None = None) -> Plan:
-    """Refuse, before anything is written, what this machine has no memory or disk for.
-
-    Returns the plan.  Raises MemoryError or OSError with one sentence.
-    """
-    plan = make_plan(scene, solid, workers)
-    available = machine.available_memory()
-    if plan.memory > available:
-        task = max(plan.tasks, key=lambda item: item.memory)
-        raise MemoryError(
-            f"stage {task.stage} needs about {format_bytes(task.memory)} of memory "
-            f"({task.size}) and {format_bytes(available)} are available; choose a coarser "
-            "resolution or a smaller domain"
-        )
-    free = machine.free_disk(folder)
-    if plan.disk > free:
-        raise OSError(
-            f"the run needs about {format_bytes(plan.disk)} on the disk that holds '{folder}' "
-            f"and {format_bytes(free)} are free"
-        )
-    return plan
 
 
 def print_plan(plan: Plan) -> None:

@@ -24,12 +24,16 @@ from pipeline.scene.rate_law import KINETICS
 from pipeline.scene.resolution import RESOLUTIONS
 from pipeline.scene.scene import DISSOLUTION_LAWS, OMITTABLE, scene_from_json
 from pipeline.stages import corrosion as corrosion_stage
+from pipeline.stages import readiness
+from pipeline.stages.geometry import build_solid
 from pipeline.stages.opening import open_run
+from pipeline.stages.sizes import with_fitting_spacing
 from tests.pipeline.geometry.solids import coarse_mesh
 
 PIN = ["--thread", "none"]  # a plain pin: its solid takes a tenth of a second
 COARSE = ["--spacing", "300um", "--horizon", "600um", "--radial-margin", "1mm"]
 COARSE += ["--axial-margin", "1mm"]  # 300 um against the smallest feature, the slot of 500 um
+STAGES = ("geometry", "corrode", "map", "pull")
 SCENE = ["--alloy", "Mg-5Gd", "--immersion", "0w", "8w", *PIN]
 
 
@@ -83,7 +87,8 @@ def _changed(*changes: str) -> list[str]:
             _changed("--dissolution", "faradaic", "--scheme", "forward_euler"),
             ["forward_euler", "sdirk2 or backward_euler where dissolution is faradaic"],
         ),
-        (_changed(*COARSE), ["300 um", "at most 250 um"]),
+        (_changed(*COARSE), ["300 um", "at most 250 um", "--spacing 250um, or --spacing auto"]),
+        (_changed(*COARSE, "--slot-depth", "20um"), ["--spacing 10um --horizon 80um"]),
         (_changed("--spacing", "100"), ["spacing '100'", "100um"]),
         (_changed("--spacing", "100furlong"), ["100furlong", "m, cm, mm, um, inch"]),
         (_changed("--horizon", "50um"), ["horizon is 50 um", "1 to 8"]),
@@ -239,6 +244,27 @@ def test_a_poisson_ratio_of_one_half_in_an_own_alloy_is_refused(tmp_path, capsys
     assert not out.exists()
 
 
+def test_the_spacing_that_a_refusal_offers_will_do_and_auto_takes_it(capsys):
+    for pitch, offered in (("0.4mm", "100um"), ("0.31mm", "77.5um"), ("0.2222mm", "55.5um")):
+        screw = ["--alloy", "Mg-5Gd", "--immersion", "8w", "--pitch", pitch]
+        message = _refused(capsys, ["plan", *screw, "--spacing", "120um"], "--spacing auto")
+        assert f"(--spacing {offered}, or" in message
+        fitted, _ = with_fitting_spacing(_scene([*screw, "--spacing", "auto"]))
+        assert fitted.hash() == _scene([*screw, "--spacing", offered]).hash()
+    # the preset's will do
+    assert with_fitting_spacing(_scene([*SCENE, "--spacing", "auto"]))[0] == _scene(SCENE)
+
+
+def test_auto_looks_for_the_smallest_feature_of_a_solid_from_a_file(tmp_path, capsys):
+    path = tmp_path / "part.stl"
+    path.write_text(_solid(_tetrahedron()))
+    scene = ["--alloy", "Mg-5Gd", "--immersion", "8w", "--solid", str(path), "--spacing", "auto"]
+    found, solid = with_fitting_spacing(_scene(scene))
+    assert solid.smallest_feature > 0.2e-3 and found.lattice.spacing == 100e-6
+    small = [*scene, "--unit", "um"]
+    _refused(capsys, ["plan", *small], "smallest feature", "at most 8 of them (--horizon")
+
+
 def test_more_memory_than_there_is_is_refused_before_starting(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(machine, "available_memory", lambda: 100_000_000)
     out = tmp_path / "run"
@@ -250,6 +276,61 @@ def test_a_scene_of_absurd_size_is_refused_by_this_machine(tmp_path, capsys):
     out = tmp_path / "run"
     huge = ["--spacing", "2um", "--horizon", "4um"]
     _refused(capsys, ["run", *_changed(*huge), "--out", str(out)], "memory", "available")
+    assert not out.exists()
+
+
+def test_what_fits_into_the_memory_is_offered_and_fits(capsys, monkeypatch):
+    for available, arguments, option in (
+        (1.2e9, SCENE, "--pulls"),  # two pulls at a time take more, one takes less
+        (0.6e9, [*SCENE, "--pulls", "1"], "--mesh-size"),
+        (2.0e9, [*SCENE, "--spacing", "14um", "--horizon", "112um"], "--spacing"),
+    ):
+        monkeypatch.setattr(machine, "available_memory", lambda most=available: most)
+        monkeypatch.setattr(machine, "processor_cores", lambda: 2)
+        scene = _scene([a for a in arguments if a not in ("--pulls", "1")])
+        solid = build_solid(scene)
+        pulls = 1 if "--pulls" in arguments else None
+        with pytest.raises(MemoryError, match="choose (--.*)$") as refusal:
+            readiness.check_machine(scene, solid, Path.cwd(), workers=pulls, stages=STAGES)
+        offered = re.search(r"choose (.*?)(?:, or.*)?$", str(refusal.value))[1].split()
+        assert offered[0] == option
+        if option == "--pulls":
+            pulls, offered = int(offered[1]), []
+        there = [a for a in arguments if a not in ("--pulls", "1")]
+        scene = _scene([*there, *offered])
+        readiness.check_machine(scene, solid, Path.cwd(), workers=pulls, stages=STAGES)
+
+
+def test_dolfinx_that_cannot_be_imported_is_found_before_the_first_stage(
+    tmp_path, capsys, monkeypatch
+):
+    (tmp_path / "dolfinx.py").write_text("raise ImportError('libdolfinx.so is another')\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    out = tmp_path / "run"
+    words = ["libdolfinx.so is another", "python3-dolfinx-real", "perilife map"]
+    _refused(capsys, ["run", *SCENE, "--out", str(out)], *words)
+    assert not out.exists()
+    assert main(["plan", *SCENE, "--json"]) == 0
+    checks = {c["what"]: c for c in json.loads(capsys.readouterr().out)["machine"]}
+    assert "libdolfinx.so is another" in checks["dolfinx"]["problem"]
+    assert checks["memory"]["problem"] == checks["disk"]["problem"] == ""
+
+
+def test_an_mpirun_that_is_not_there_or_of_another_mpi_is_found_before_the_first_stage(
+    tmp_path, capsys, monkeypatch
+):
+    pytest.importorskip("dolfinx")
+    monkeypatch.setattr(machine, "processor_cores", lambda: 2)
+    out = tmp_path / "run"
+    run = ["run", *SCENE, "--np", "2", "--out", str(out)]
+    path = os.environ["PATH"]
+    monkeypatch.setenv("PATH", str(tmp_path))
+    _refused(capsys, run, "mpirun was not found", "--np 2")
+    other = tmp_path / "mpirun"  # starts two processes, as one of another MPI does
+    other.write_text('#!/bin/sh\nshift 2\n"$@" && "$@"\n')
+    other.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{path}")
+    _refused(capsys, run, "2 processes that do not know of one another")
     assert not out.exists()
 
 
@@ -279,8 +360,6 @@ def test_a_folder_with_something_else_in_it_is_left_alone(tmp_path, capsys):
 
 
 def _scene(arguments: list[str]):
-    import argparse
-
     parser = argparse.ArgumentParser()
     add_scene_options(parser)
     return scene_from_options(parser.parse_args(arguments))

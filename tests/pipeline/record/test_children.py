@@ -9,14 +9,14 @@ import time
 
 import pytest
 
-from pipeline.record import children
+from pipeline.record import children, interruption
 from pipeline.record.machine import child_environment
 from pipeline.record.run_folder import RunFolder, RunFolderError
 from tests.pipeline.processes import survivors
 
 PARENT = """
 import sys, time
-from pipeline.record import children
+from pipeline.record import children, interruption
 from pipeline.record.machine import child_environment, mpirun
 from pipeline.record.run_folder import RunFolder
 
@@ -93,6 +93,28 @@ def test_the_lock_is_held_by_what_inherits_it_and_by_nothing_else(tmp_path):
         finally:
             children.end(heir)
             children.end(other)
+
+
+def test_an_interruption_during_the_start_is_raised_after_it_and_ends_the_child(monkeypatch):
+    before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
+    made = []
+
+    class Interrupted(subprocess.Popen):
+        def __init__(self, *arguments, **options):
+            os.kill(os.getpid(), signal.SIGINT)
+            super().__init__(*arguments, **options)
+            made.append(self)
+
+    monkeypatch.setattr(subprocess, "Popen", Interrupted)
+    try:
+        interruption.listen()
+        with pytest.raises(KeyboardInterrupt):
+            children.start([sys.executable, "-c", "import time; time.sleep(60)"])
+        assert made[0].poll() == -signal.SIGTERM
+    finally:
+        interruption.listen()  # forgets the request
+        signal.signal(signal.SIGINT, before[0])
+        signal.signal(signal.SIGTERM, before[1])
 
 
 def test_the_way_in_which_a_child_ended_is_put_in_words():

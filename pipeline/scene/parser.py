@@ -1,0 +1,31 @@
+"""The parser of the command line: it refuses in one sentence."""
+
+import argparse
+import re
+
+from perilife_data import did_you_mean
+
+
+class OneSentenceParser(argparse.ArgumentParser):
+    """A parser that refuses in one sentence, without repeating the usage."""
+
+    def __init__(self, *arguments: object, **options: object) -> None:
+        super().__init__(*arguments, **options)
+        # no option begins with a digit, so that -2mm is a (refused) length and no option
+        self._negative_number_matcher = re.compile(r"-\.?\d")
+
+    def error(self, message: str) -> None:
+        """Refuse, with the nearest command or option where one was not understood."""
+        unknown = re.search(r"(?:unrecognized arguments: |invalid choice: ')([^\s']+)", message)
+        near = did_you_mean(unknown.group(1), self._names()) if unknown else ""
+        raise ValueError(f"{message}{near}; see `{self.prog} --help`")
+
+    def _names(self) -> set[str]:
+        """Every option and command of this parser and of those below it."""
+        names = set(self._option_string_actions)
+        for action in self._actions:
+            if isinstance(action, argparse._SubParsersAction):
+                names |= set(action.choices)
+                for parser in action.choices.values():
+                    names |= parser._names()
+        return names
