@@ -44,6 +44,7 @@ PUBLISHED_CONDUCTIVITY = 6.1e6
 """S/m, Tables 3.7 and 5.4 of the dissertation; that of a metal, kept for `as_published`."""
 
 _MAXIMUM_SWEEPS = 60
+_MAXIMUM_HALVINGS = 8
 _RESOLVED = 1e-11
 """Share of its largest change below which a component that the medium lacks counts as absent."""
 
@@ -367,16 +368,18 @@ class QuasiSteadyLiquid:
             if sweep == _MAXIMUM_SWEEPS or not np.isfinite(residual):
                 raise ConvergenceError(
                     f"potential: net charge {excess_now:.2g} of the ionic strength after {sweep} "
-                    f"sweeps, {self.options.neutrality:g} wanted; the ions' fluxes change by "
-                    f"{residual:.2g}, {absolute:.2g} wanted"
+                    f"sweeps, {self.options.neutrality:g} wanted (the ions' fluxes change by "
+                    f"{residual:.2g}, {absolute:.2g} wanted); the liquid holds too little salt for "
+                    "this release"
                 )
             tight = max(0.1 * absolute, 1e-3 * residual)
+            before = state.migrated.copy()
             for e in range(inflow.shape[0]):
                 state.migrated[e], used = space.solve(
-                    self.plain, space.volume * inflow[e], state.migrated[e], tight
+                    self.plain, space.volume * inflow[e], before[e], tight
                 )
                 state.iterations += used
-            self.compose(state)
+            self._compose_between(state, before)
             self._grow(state, there, step, absolute)
         largest = float(np.abs(chemistry.charge).max()) * largest_bond_step(
             space.spread(state.psi), space.all_volume, space.sum.reach
@@ -386,6 +389,22 @@ class QuasiSteadyLiquid:
                 "the potential steps by up to %.2g RT/F along a bond, above %g: use the flux "
                 "form 'sg'", largest, LARGEST_SQRA_STEP,
             )  # fmt: skip
+
+    def _compose_between(self, state: LiquidState, before: np.ndarray) -> None:
+        """Compose; go half the way back to the last migration as long as a node has none.
+
+        Without supporting salt a sweep may ask for more of an ion than there is.
+        """
+        for _ in range(_MAXIMUM_HALVINGS):
+            start = state.ln_component.copy()
+            try:
+                self.compose(state)
+            except CompositionError:
+                state.ln_component = start
+                state.migrated = 0.5 * (state.migrated + before)
+                continue
+            return
+        self.compose(state)
 
     # --- what is seen ---------------------------------------------------------------------
 

@@ -24,6 +24,8 @@ _MAXIMUM_ROUNDS = 200
 _STRENGTH_TOLERANCE = 1e-13
 _LONGEST_STEP = 2.0
 _START = -16.0
+_ROUND_OFF_STEP = 1e-8
+"""A step below this that does not shrink any more is round-off."""
 
 
 @dataclass(frozen=True)
@@ -269,6 +271,7 @@ def saturate(
         return amount
     present = ~((target <= 0) & composer.only_positive[:, None])
     m[:] = np.where(present | (np.abs(nu).sum(axis=0) > 0)[:, None], np.maximum(m, -600.0), ABSENT)
+    before = np.full(n, np.inf)
     for _ in range(_MAXIMUM_ROUNDS):
         concentration = composer.concentrations(m, b)
         weighted = composer.weight[:, None] * concentration
@@ -290,8 +293,11 @@ def saturate(
             break
         m += step * np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, 1e-300))
         amount = new.T
-        if longest.max(initial=0.0) < tolerance:
+        # Done, or as near as round-off lets the last quadratic steps come.
+        stuck = (longest < _ROUND_OFF_STEP) & (longest > 0.5 * before)
+        if ((longest < tolerance) | stuck).all():
             return amount
+        before = longest
     raise CompositionError("minerals: the composition at saturation did not converge")
 
 
