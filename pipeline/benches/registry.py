@@ -156,6 +156,11 @@ BENCHMARKS: dict[str, Benchmark] = {
         bench_localised.bond_damage,
         bench_localised.small_bond_damage,
     ),
+    "crevice": Benchmark(
+        "the film equation of a crevice of alloy 625, 72 h",
+        bench_localised.crevice,
+        bench_localised.small_crevice,
+    ),
     "tensile": Benchmark(
         "constitutive update, assembly, one quick pull of the screw after 8 weeks (a minute)",
         bench_tensile.tensile,

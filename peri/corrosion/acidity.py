@@ -1,0 +1,76 @@
+"""Dissolution in the acid that the metal's own ions make: a current by their concentration."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from peri.corrosion.kinetics import Exposed, Kinetics
+
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class AcidityLaw(Kinetics):
+    """The current of alloy 625 by the concentration of its ions (Jafarzadeh et al. 2022, 5.1).
+
+        pH = 7.405 exp(-0.08036 C) - 6.498,   log10 i = 1.151 exp(-0.723 pH) - 3.647,
+
+    C in mol/L and i in A/m^2.  Eqs 23 to 25 print log10 i = 1.151 exp(-723 pH) - 7.647, which
+    gives no rate at all; as written here i runs from 8.921e-4 (C = 0) to 3.2422 A/m^2 (5.6 mol/L).
+
+    Parameters
+    ----------
+    saturation_concentration : float
+        mol/m^3, > 0; the law holds from 0 to it.
+    reference_current : float
+        A/m^2, > 0: the current density that a scene's dissolution flux is stated for.
+    factor : float
+        Of the current, > 0.
+
+    Raises
+    ------
+    ValueError
+        For values out of range; `rate` for concentrations beyond saturation.
+    """
+
+    needs = frozenset({"concentration"})
+
+    saturation_concentration: float
+    reference_current: float = 1.0
+    factor: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in ("saturation_concentration", "reference_current", "factor"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise ValueError(f"{name}: {value}; it must be finite and positive")
+
+    def _steps(self, concentration: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
+        """log10 i and its derivative by C (m^3/mol), C held to the range of the law."""
+        held = np.clip(concentration, 0.0, self.saturation_concentration)
+        acid = 7.405 * np.exp(-0.08036e-3 * held)
+        steep = 1.151 * np.exp(-0.723 * (acid - 6.498))
+        return steep - 3.647, steep * 0.723 * 0.08036e-3 * acid
+
+    def current(self, concentration: np.ndarray | float) -> np.ndarray:
+        """i(C), A/m^2; beyond the range that at its end."""
+        return self.factor * 10.0 ** self._steps(concentration)[0]
+
+    def slope(self, concentration: np.ndarray | float) -> np.ndarray:
+        """di/dC, A m/mol, > 0; at and beyond the ends of the range that from within."""
+        logarithm, steepness = self._steps(concentration)
+        return self.factor * math.log(10.0) * 10.0**logarithm * steepness
+
+    def rate(self, at: Exposed) -> float | np.ndarray:
+        """i(C) / i_reference, by the concentration of the liquid that a node sees."""
+        seen = np.asarray(at.concentration, float)
+        most = self.saturation_concentration * (1 + _ROUNDING)
+        if seen.size and not (seen.min() >= -_ROUNDING * most and seen.max() <= most):
+            raise ValueError(
+                f"concentration: {seen.min():.4g} to {seen.max():.4g} mol/m^3; the law holds from "
+                f"0 to the saturation_concentration of {self.saturation_concentration} mol/m^3"
+            )
+        return self.current(seen) / self.reference_current
