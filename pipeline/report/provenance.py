@@ -46,6 +46,7 @@ _UNITS = {
 }
 _TITLES = {
     "samples": "Samples per axis and cell",
+    "classes": "Rate classes per cell near the surface",
     "size": "Edge length",
     "size_fine": "Edge length at thread and slot",
     "size_bottom": "Edge length at the bottom face",

@@ -93,6 +93,13 @@ def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -
     )
     corrosion.add_argument("--calibration", metavar="C", help=", ".join(CALIBRATIONS))
     corrosion.add_argument(
+        "--classes",
+        type=int,
+        metavar="P",
+        help="rate classes per cell near the surface, which remove most of the lattice's error: "
+        "3 is enough (0: one rate per node)",
+    )
+    corrosion.add_argument(
         "--tolerance",
         type=float,
         metavar="X",
@@ -184,6 +191,7 @@ def scene_from_options(options: argparse.Namespace) -> Scene:
         dissolution="dissolution",
         kinetics="kinetics",
         calibration="calibration",
+        classes="classes",
         rate_change="rate_change",
         tolerance="tolerance",
     )

@@ -105,6 +105,8 @@ class CorrosionSettings:
     kinetics: how the rate changes, NAME or NAME:number=value,... (pipeline.scene.rate_law).
     dissolution: what a bond between metal and liquid carries (peri.corrosion.scene).
     step: fixed time step (s); None lets rate_change control it (peri.engine.marching.TimeStepping).
+    classes: rate classes per cell near the surface (peri.corrosion.rate_classes); 0: each node
+    has one phase and one rate.
     tolerance: error of V_L, relative, up to which the march leaves out what the scene does not
     need (peri.omissions.planning); keep: what to compute all the same.
     """
@@ -118,6 +120,7 @@ class CorrosionSettings:
     calibration: str = "discrete"
     influence: str = "constant"
     kernel_exponent: float = 0.0
+    classes: int = 0
     tolerance: float = 1e-3
     keep: tuple[str, ...] = ()
 
@@ -146,6 +149,15 @@ class CorrosionSettings:
         one_of("calibration", self.calibration, CALIBRATIONS)
         one_of("influence function", self.influence, ("constant", "linear"))
         check(0 <= self.kernel_exponent < 1, "kernel exponent", self.kernel_exponent, "in [0, 1)")
+        check(0 <= self.classes <= 8, "rate classes", self.classes, "0 (none) to 8")
+        if self.classes:
+            on = "where there are rate classes"
+            one_of(f"dissolution {on}", self.dissolution, ("proportional",))
+            one_of(f"saturation {on}", self.saturation, ("complementarity",))
+            one_of(f"time scheme {on}", self.scheme, ("sdirk2", "backward_euler"))
+            check(
+                self.kernel_exponent < 0.5, "kernel exponent", self.kernel_exponent, f"< 1/2 {on}"
+            )
 
 
 @dataclass(frozen=True)
@@ -286,18 +298,12 @@ class Scene:
             )
 
         if self.ions is not None:
-            check(
-                self.domain.boundary == "refreshed",
-                "boundary",
-                f"'{self.domain.boundary}'",
-                "refreshed where the model is nnpp, whose ions need a way out",
-            )
-            check(
-                self.corrosion.dissolution == "proportional",
-                "dissolution",
-                f"'{self.corrosion.dissolution}'",
-                "proportional where the model is nnpp",
-            )
+            for name, value, right, why in (
+                ("boundary", self.domain.boundary, "refreshed", ", whose ions need a way out"),
+                ("dissolution", self.corrosion.dissolution, "proportional", ""),
+                ("rate classes", self.corrosion.classes, 0, ""),
+            ):
+                check(value == right, name, f"'{value}'", f"{right} where the model is nnpp{why}")
 
     @property
     def mesh(self) -> MeshSettings:

@@ -4,15 +4,18 @@
 of one alloy and writes checkpoint, fields, history.csv and the ParaView series.
 """
 
+from __future__ import annotations
+
 import logging
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from peri.corrosion.rate_classes import CellExposure
 from peri.corrosion.results import write_corrosion, write_history, write_image_series
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.checkpoints import CheckpointError
@@ -25,6 +28,7 @@ from pipeline.geometry.voxels import metal_fraction
 from pipeline.scene.resolve import rate_law
 from pipeline.scene.scene import CorrosionParameters, Scene
 from pipeline.stages import ions as ion_stage
+from pipeline.stages.exposure import share_of_ball, share_of_cylinder, solid_exposure
 from pipeline.stages.geometry import read_surface
 
 logger = logging.getLogger(__name__)
@@ -49,6 +53,17 @@ class LiquidDomain:
         """Lower corner of the box that holds the region."""
         x, y, z = self.centre
         return (x - self.radius, y - self.radius, z - self.height / 2)
+
+    def shrunk(self, margin: float) -> LiquidDomain:
+        """The region without its outermost layer of that thickness (m)."""
+        radius, height = self.radius - margin, self.height - 2 * margin
+        return replace(self, radius=max(radius, 0.0), height=max(height, 0.0))
+
+    def share(self, lattice: Lattice) -> NDArray[np.float64]:
+        """Share of each cell of a lattice that lies in the region."""
+        if self.shape == "ball":
+            return share_of_ball(lattice, self.centre, self.radius)
+        return share_of_cylinder(lattice, self.centre, self.radius, self.height)
 
     @property
     def upper(self) -> tuple[float, float, float]:
@@ -111,19 +126,25 @@ def corrosion_scene(
     domain: NDArray[np.bool_],
     metal: NDArray[np.bool_],
     metal_fraction: NDArray[np.float64],
+    exposure: CellExposure | None = None,
 ) -> CorrosionScene:
-    """The peridynamic scene of one alloy on a lattice whose nodes are known to be metal or not."""
+    """The peridynamic scene of one alloy on a lattice whose nodes are known to be metal or not.
+
+    exposure: rate classes of the cells (`exposure_of`); all cells with metal are then metal.
+    """
     parameters, settings = scene.alloy(alloy).corrosion, scene.corrosion
     if not metal.any():
         raise ValueError(
             f"lattice spacing is {scene.lattice.spacing:g} m; no node lies in the solid, so it "
             "must be smaller"
         )
+    if exposure is not None:
+        metal = metal_fraction > 0
     return CorrosionScene(
         lattice=lattice,
         horizon=scene.lattice.horizon,
         metal=metal,
-        domain=domain | metal,
+        domain=domain | metal if exposure is None else exposure.inside > 0,
         metal_fraction=metal_fraction,
         boundary=scene.domain.boundary,
         solid_concentration=parameters.solid_concentration,
@@ -136,7 +157,34 @@ def corrosion_scene(
         calibration=settings.calibration,
         saturation=settings.saturation,
         dissolution=settings.dissolution,
+        exposure=exposure,
     )
+
+
+def exposure_of(
+    scene: Scene,
+    lattice: Lattice,
+    region: LiquidDomain,
+    solid: Solid,
+    fraction: NDArray[np.float64],
+    folder: Path | None = None,
+) -> CellExposure | None:
+    """The rate classes that the scene asks for, with the domain's shares; None for one per node.
+
+    folder: where the surface's part of it is kept between runs.
+    """
+    settings, horizon = scene.corrosion, scene.lattice.horizon
+    if not settings.classes:
+        return None
+    found = solid_exposure(
+        solid, lattice, horizon, fraction, settings.classes, settings.kernel_exponent,
+        settings.influence, folder,
+    )  # fmt: skip
+    inside = region.share(lattice)
+    if scene.domain.boundary == "no_flux":
+        return replace(found, inside=np.maximum(inside, fraction), held=np.zeros(lattice.shape))
+    held = inside - region.shrunk(horizon).share(lattice)
+    return replace(found, inside=np.maximum(inside, fraction), held=np.maximum(held, 0.0))
 
 
 def degradation_rate(
@@ -162,12 +210,14 @@ def metal_of(
 
 def march_omissions(scene: Scene, solid: Solid) -> list[tuple[str, Omission]]:
     """What the march of each alloy would leave out or needs, with its bound: (alloy, omission)."""
-    lattice, domain = domain_lattice(scene, liquid_domain(scene, solid.points))
+    region = liquid_domain(scene, solid.points)
+    lattice, domain = domain_lattice(scene, region)
     metal, fraction = metal_of(scene, lattice, solid)
+    exposure = exposure_of(scene, lattice, region, solid, fraction)
     end = max(time.seconds for time in scene.immersion)
     found = []
     for alloy in scene.alloys:
-        corrosion = corrosion_scene(scene, alloy.name, lattice, domain, metal, fraction)
+        corrosion = corrosion_scene(scene, alloy.name, lattice, domain, metal, fraction, exposure)
         tolerance, keep = scene.corrosion.tolerance, scene.corrosion.keep
         omissions = plan_omissions(corrosion, end, tolerance, keep)
         if scene.ions is not None:
@@ -191,9 +241,11 @@ def corrode_in_folder(
     numbers worth keeping: V_L per immersion time (nt,), the worst balance error, sizes.
     """
     solid = read_surface(geometry)
-    lattice, domain = domain_lattice(scene, liquid_domain(scene, solid.points))
+    region = liquid_domain(scene, solid.points)
+    lattice, domain = domain_lattice(scene, region)
     metal, fraction = metal_of(scene, lattice, solid)
-    corrosion = corrosion_scene(scene, alloy, lattice, domain, metal, fraction)
+    exposure = exposure_of(scene, lattice, region, solid, fraction, geometry)
+    corrosion = corrosion_scene(scene, alloy, lattice, domain, metal, fraction, exposure)
     checkpoint = out / CHECKPOINT_FILE
     times = [time.seconds for time in scene.with_intact()]
 
