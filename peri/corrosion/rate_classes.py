@@ -208,9 +208,9 @@ def rate_classes(
         q < 1/2; from there on a front has no finite flux.
     influence : {"constant", "linear"}
     finest : float, optional
-        Largest size of the parts that the surface cuts, in horizons; default: a quarter of the
-        spacing, but no less than a sixteenth.  The error of V_L is of first order in it: 0.1 % at
-        1/8, 0.05 % at 1/16 for a ball of three horizons.
+        Largest size of the parts that the surface cuts, in horizons; default: half the spacing,
+        but no less than a sixteenth.  For a ball of two horizons that has lost 8 and 29 % it errs
+        by 0.08 and 0.30 % at 1/4, 0.02 and 0.08 % at 1/8, 0.01 and 0.02 % at 1/16.
 
     Raises
     ------
@@ -301,7 +301,7 @@ def sample_metal(
     cells = np.flatnonzero(fraction)
     spacing = np.array(lattice.spacing)
     if finest is None:
-        finest = max(0.25 * float(spacing.max()) / horizon, 1.0 / 16.0)
+        finest = max(0.5 * float(spacing.max()) / horizon, 1.0 / 16.0)
     centre = np.array(lattice.origin) + spacing * np.stack(
         np.unravel_index(cells, lattice.shape), axis=1
     )

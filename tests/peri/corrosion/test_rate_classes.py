@@ -112,7 +112,7 @@ def test_ball_in_clean_liquid(ratio, bound):
     for shift in ((0.0, 0.0, 0.0), (0.3, 0.7, 0.1)):
         lattice = around(surface, 1.0 / ratio, shift)
         share = share_of_ball(lattice, 2.0)
-        classes = rate_classes(lattice, surface, 1.0, share)
+        classes = rate_classes(lattice, surface, 1.0, share, finest=0.125)
         held = np.bincount(classes.cell, classes.volume, share.size)
         np.testing.assert_allclose(held, share.ravel(), atol=1e-14)
         assert np.all(classes.volume > 0) and np.all(classes.exposure >= 0)
