@@ -13,6 +13,7 @@ from pathlib import Path
 from perilife_data import did_you_mean
 from pipeline.benches import calibration as bench_calibration
 from pipeline.benches import corrosion as bench_corrosion
+from pipeline.benches import cut_cells as bench_cut_cells
 from pipeline.benches import ions as bench_ions
 from pipeline.benches import localised as bench_localised
 from pipeline.benches import operators as bench_operators
@@ -140,6 +141,11 @@ BENCHMARKS: dict[str, Benchmark] = {
         "the published full screw run, 2.14e6 nodes, 56 days (15 minutes)",
         bench_corrosion.screw,
         bench_corrosion.small_screw,
+    ),
+    "cut-cells": Benchmark(
+        "rate classes: a ball in clean liquid against its closed form (2 minutes)",
+        bench_cut_cells.cut_cells,
+        bench_cut_cells.small_cut_cells,
     ),
     "calibration": Benchmark(
         "fits, posteriors, marches and bands of the screw (10 minutes)",
