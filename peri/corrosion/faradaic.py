@@ -13,20 +13,89 @@ front, because rates are constant between two such events.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from peri.corrosion.interface import Interface
+from peri.corrosion.interface import Exchange
+from peri.corrosion.laws import InterfaceLaw
+from peri.corrosion.phases import Phases
+from peri.corrosion.scene import CorrosionScene
+from peri.corrosion.solids import Solid
+from peri.engine.problem import Attempt, Fields, Stage
 
 _ROUNDS = 200
 _TOLERANCE = 1e-12
+_LATE = 4.0
+"""Weight of what a step dissolves at an estimated time, as a change of the rate."""
 
 
-class FaradaicInterface(Interface):
+class Faradaic(InterfaceLaw):
+    """D_int w C_solid, until the metal node is empty."""
+
+    name = "faradaic"
+    saturations = ("complementarity", "none")
+    schemes = ("backward_euler", "sdirk2")
+    only = "implicit stages know when a node is empty; the published switch is the other law's"
+
+    def liquid_below(self, scene: CorrosionScene) -> float:
+        """0: a node is metal until it is empty."""
+        return 0.0
+
+    def lifetime(self, scene: CorrosionScene) -> float:
+        """1, or less for a solid that holds less than the scene's."""
+        return min(solid.concentration for solid in scene.solids) / scene.solid_concentration
+
+    def share_of(self, solid: Solid, scene: CorrosionScene) -> float:
+        """The flux itself is given."""
+        return solid.rate
+
+    def exchange(self, discrete: Phases, old: np.ndarray, tau: float) -> FaradaicExchange:
+        """Bonds that carry a given flux."""
+        return FaradaicExchange(discrete, old, tau)
+
+    def gone(self, discrete, concentration: np.ndarray, emptied) -> np.ndarray | None:
+        """Metal that the step has emptied."""
+        return emptied
+
+    def check(self, discrete, concentration: np.ndarray, time: float) -> None:
+        """Liquid without a bound may not pass the metal."""
+        highest = discrete.scene.highest_concentration * (1 + 1e-12)
+        if discrete.processes.any(concentration.max() > highest):
+            raise ValueError(
+                "saturation: 'none' with dissolution 'faradaic'; the liquid fills beyond the "
+                f"metal's concentration at {time:.4g} s, use 'complementarity'"
+            )
+
+    def continues(self, discrete, first: Stage, right: Fields) -> bool:
+        """Whether no node is empty at the first stage or negative in its right side."""
+        emptied = first.extra.emptied
+        return not discrete.processes.any(right["concentration"].min() < 0 or emptied.any())
+
+    def admissible(self, discrete, stages: Sequence[Stage]) -> bool:
+        """Whether no node is empty."""
+        return not discrete.processes.any(stages[-1].extra.emptied.any())
+
+    def change(self, discrete, attempt: Attempt) -> float:
+        """Of the loss in sum: a moving front hands its rate from node to node."""
+        last, loss = attempt.stages[-1], attempt.old.numbers["volume_loss"]
+        lost = last.numbers["volume_loss"] - loss
+        change = 0.0
+        if attempt.previous_step and lost > 0.1 * discrete.tolerance:
+            before = loss - attempt.previous.numbers["volume_loss"]
+            expected = attempt.step / attempt.previous_step * before
+            change = abs(lost - expected) / lost
+        return max(change, _LATE * last.extra.late)
+
+
+class FaradaicExchange(Exchange):
     """Metal-liquid exchange of one stage whose bonds carry a given flux.
 
     exposed : share of the stage that an emptied node spends as liquid (limited by what it can
     hold up to C_sat).  gained : what it receives then, mol/m^3.
     """
+
+    couples = False
 
     def set(self, theta: np.ndarray, rate: float, local: np.ndarray | float = 1.0) -> None:
         """Fix the saturation factors, D_int and the nodes' shares; find when each node is empty."""
@@ -59,7 +128,6 @@ class FaradaicInterface(Interface):
             self.exposed = exposed
         self.demand, self.weight = demand, self.on * local
         self.emptied = short
-        self.storage_share = 1.0
 
     def metal_concentration(self, liquid: np.ndarray) -> np.ndarray:
         """C_i = old_i - tau k sum w c theta, at least 0; the liquid plays no part."""
@@ -79,7 +147,7 @@ class FaradaicInterface(Interface):
         whole = p.processes.total(float((self.demand * p.box_metal_volume).sum()))
         return p.processes.total(float(lost.sum())) / whole if whole > 0 else 0.0
 
-    def offered(self, metal: np.ndarray, liquid) -> np.ndarray:
+    def offered(self, metal: np.ndarray, liquid: np.ndarray | float) -> np.ndarray:
         """Interface inflow of the free liquid nodes with theta = 1."""
         p = self.p
         return p.box_free_volume * self.rate * p.box(p.box_metal_volume * self.weight)
@@ -87,14 +155,6 @@ class FaradaicInterface(Interface):
     def to_refreshed(self, metal: np.ndarray) -> np.ndarray:
         """Interface inflow of the box's nodes per relative volume."""
         return self.rate * self.p.box(self.p.box_metal_volume * self.weight)
-
-    def through_metal(self, liquid: np.ndarray) -> np.ndarray:
-        """Nothing: the metal's loss does not depend on the liquid."""
-        return np.zeros_like(liquid)
-
-    def diagonal(self) -> np.ndarray:
-        """Nothing, for the same reason."""
-        return np.zeros_like(self.theta)
 
     def correct(self, metal: np.ndarray, change: np.ndarray, saturated: float) -> np.ndarray:
         """Metal after the flux of the active nodes changed by `change` in theta."""

@@ -1,40 +1,75 @@
-"""Metal-liquid exchange of one implicit or explicit stage, on the box around the metal."""
+"""Metal-liquid exchange of one stage: what a law has to offer, on the box around the metal."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from peri.corrosion import saturation
+from peri.corrosion.phases import Phases
 from peri.engine.processes import OneProcess
 
 
-class Interface:
-    """Metal-liquid exchange of one stage on the box around the metal.
+class Exchange:
+    """Metal-liquid exchange of one stage, its metal unknowns eliminated.
 
-    on : switch of each metal node's bonds, 0 or 1.  weight : the same times the node's own rate
-    (kinetics that differ from node to node).
+    A law derives from it.  All arrays are padded ones of the box; `liquid` and `metal` are
+    concentrations, mol/m^3.
+
+    theta : saturation factors.  rate : of the bonds, m^2/s times whatever the law multiplies it
+    with.  weight : each metal node's share of the rate, 0 where its bonds are off.
+    storage_share : mean share of a metal node's response that is storage, for the preconditioner.
+    emptied : metal nodes that the stage empties; their content is then their liquid's.
+    gained : what emptied nodes receive in the rest of the stage.  couples : whether the metal's
+    loss depends on the liquid, so that the liquid's matrix has the metal's share.
     """
 
-    local: np.ndarray | float = 1.0
-    emptied = None  # metal nodes that the stage empties; their content is then their liquid's
-    gained = 0.0
+    couples = True
+    emptied: np.ndarray | None = None
+    gained: np.ndarray | float = 0.0
+    storage_share = 1.0
+    theta: np.ndarray
+    rate: float
+    weight: np.ndarray
 
-    def __init__(self, problem, old: np.ndarray, tau: float) -> None:
-        self.p, self.tau = problem, tau
-        self.old_metal = problem.take(old)
-        self.on = self.weight = problem.box_metal.astype(float)
-        self.seen_metal = problem.box(problem.box_metal_volume)
+    def __init__(self, phases: Phases, old: np.ndarray, tau: float) -> None:
+        self.p, self.tau = phases, tau
+        self.old_metal = phases.take(old)
+        self.weight = phases.box_metal.astype(float)
 
-    def late(self) -> float:
-        """Share of the flux whose time is an estimate: none, bonds follow the content."""
-        return 0.0
+    def set(self, theta: np.ndarray, rate: float, local: np.ndarray | float = 1.0) -> None:
+        """Fix the saturation factors, the interface diffusivity (m^2/s) and the nodes' shares."""
+        raise NotImplementedError
+
+    def metal_concentration(self, liquid: np.ndarray) -> np.ndarray:
+        """The metal at the stage's end, for liquid concentrations."""
+        raise NotImplementedError
+
+    def offered(self, metal: np.ndarray, liquid: np.ndarray | float) -> np.ndarray:
+        """Interface inflow of the free liquid nodes with theta = 1 (times their volume)."""
+        raise NotImplementedError
+
+    def to_refreshed(self, metal: np.ndarray) -> np.ndarray:
+        """Interface inflow per relative volume of liquid held at zero."""
+        raise NotImplementedError
+
+    def liquid_gain(self, liquid: np.ndarray) -> np.ndarray:
+        """Net interface inflow of the free liquid nodes for given liquid values."""
+        return self.theta * self.offered(self.metal_concentration(liquid), liquid)
+
+    def through_metal(self, liquid: np.ndarray) -> np.ndarray:
+        """What liquid values send to each node by way of the metal, over theta and rate."""
+        return np.zeros_like(liquid)
+
+    def diagonal(self) -> np.ndarray:
+        """The liquid's own share of its outflow into the metal."""
+        return np.zeros_like(self.theta)
+
+    def correct(self, metal: np.ndarray, change: np.ndarray, saturated: float) -> np.ndarray:
+        """Metal after the flux of the active nodes changed by `change` in theta."""
+        raise NotImplementedError
 
     def switch_off(self, saturated_volume: np.ndarray) -> None:
-        """Algorithm 1: no exchange for metal nodes that see saturated liquid."""
-        p = self.p
-        neighbours = p.box(p.take(saturated_volume))
-        self.on = saturation.published_switch(neighbours, p.box_metal).astype(float)
-        self.seen_metal = p.box(p.box_metal_volume * self.on)
+        """Saturation "as_published": no exchange for metal nodes that see saturated liquid."""
+        raise NotImplementedError
 
     def hold_back(self, metal: np.ndarray) -> bool:
         """No exchange for metal nodes that would take solute back; whether there are new ones.
@@ -42,66 +77,11 @@ class Interface:
         Dissolution is irreversible.  Bounded liquid never exceeds the metal, so this concerns
         liquid without a bound (saturation "none", and "as_published" within a step).
         """
-        back = (self.on > 0) & (metal > self.old_metal * (1 + 1e-13))
-        if not self.p.processes.any(back.any()):
-            return False
-        self.on = np.where(back, 0.0, self.on)
-        self.weight = np.where(back, 0.0, self.weight)
-        self.seen_metal = self.p.box(self.p.box_metal_volume * self.weight)
-        return True
+        return False
 
-    def set(self, theta: np.ndarray, rate: float, local: np.ndarray | float = 1.0) -> None:
-        """Fix the saturation factors, the interface diffusivity (m^2/s) and the nodes' shares."""
-        p = self.p
-        self.theta, self.rate, self.local = theta, rate, local
-        self.weight = self.on * local
-        if np.ndim(local):
-            self.seen_metal = p.box(p.box_metal_volume * self.weight)
-        self.bonds = theta * p.box_liquid_volume
-        self.outflow = rate * self.weight * p.box(self.bonds)
-        decay = 1.0 / self.tau + self.outflow
-        self.response = np.divide(self.weight**2, decay, out=np.zeros_like(decay), where=decay > 0)
-        metal = p.box_metal
-        decay = 1.0 / self.tau + self.outflow[metal]
-        stored = np.divide(1.0 / self.tau, decay, out=np.ones_like(decay), where=decay > 0)
-        count = p.processes.total(stored.size)
-        self.storage_share = p.processes.total(float(stored.sum())) / count if count else 1.0
-
-    def metal_concentration(self, liquid: np.ndarray) -> np.ndarray:
-        """C_i = (old_i / tau + D sum theta w c C_j) / (1 / tau + D sum theta w c)."""
-        inflow = self.rate * self.weight * self.p.box(self.bonds * liquid)
-        value = (self.old_metal / self.tau + inflow) / (1.0 / self.tau + self.outflow)
-        return np.where(self.p.box_metal, value, 0.0)
-
-    def through_metal(self, liquid: np.ndarray) -> np.ndarray:
-        """What liquid values send to each node by way of the metal (weights of the metal in)."""
-        inflow = self.rate * self.p.box(self.bonds * liquid)
-        return self.p.box(self.p.box_metal_volume * self.response * inflow)
-
-    def liquid_gain(self, liquid: np.ndarray) -> np.ndarray:
-        """Net interface inflow of the free liquid nodes for given liquid values."""
-        return self.theta * self.offered(self.metal_concentration(liquid), liquid)
-
-    def offered(self, metal: np.ndarray, liquid) -> np.ndarray:
-        """Interface inflow of the free liquid nodes with theta = 1, for given values."""
-        return self.p.box_free_volume * (
-            self.to_refreshed(metal) - self.rate * self.seen_metal * liquid
-        )
-
-    def to_refreshed(self, metal: np.ndarray) -> np.ndarray:
-        """Interface inflow per relative volume of liquid held at zero."""
-        return self.rate * self.p.box(self.p.box_metal_volume * self.weight * metal)
-
-    def diagonal(self) -> np.ndarray:
-        """The liquid's own share of its outflow into the metal."""
-        return self.theta * self.p.box_free_volume * self.rate * self.seen_metal
-
-    def correct(self, metal: np.ndarray, change: np.ndarray, saturated: float) -> np.ndarray:
-        """Metal after the flux of the active nodes changed by `change` in theta."""
-        p = self.p
-        bonds = change * p.box_free_volume
-        flux = self.rate * self.weight * p.box(bonds) * (metal - saturated)
-        return np.where(p.box_metal, metal - self.tau * flux, 0.0)
+    def late(self) -> float:
+        """Share of the flux whose time is an estimate: none where bonds follow the content."""
+        return 0.0
 
 
 class FixedPoint:
@@ -139,25 +119,3 @@ class FixedPoint:
         self._residual = residual
         self.value = np.maximum(0.0, self.value + self._factor * residual)
         return self.value, off / scale if scale > 0 else 0.0
-
-
-def late_exposure(p, old: np.ndarray, new: np.ndarray) -> float:
-    """Share of the interface that a step should have opened before its end.
-
-    A node that falls below C_sat within a step exposes others at its end only; the share of
-    the step that this is late (C taken as exponential in time) weighs its bonds.
-    """
-    before, after = p.take(old)[p.box_metal], p.take(new)[p.box_metal]
-    limit = p.scene.saturation_concentration
-    late = np.zeros(p.box.padded_shape)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = np.log(limit / after) / np.log(before / after)
-    late[p.box_metal] = np.where((after < limit) & (before > after), share, 0.0)
-    total = p.processes.total
-    if not p.processes.any(late.any()):
-        return 0.0
-    staying = np.where(late > 0, 0.0, p.box_metal_volume * p.take(new))
-    opened = float((staying * p.box(late.clip(0.0, 1.0) * p.box_metal_volume)).sum())
-    whole = p.box_metal_volume * p.take(old) * p.box(p.box_liquid_volume)
-    whole = total(float(whole.sum()))
-    return total(opened) / whole if whole > 0 else 0.0

@@ -22,12 +22,14 @@ if TYPE_CHECKING:
 class Exposed:
     """What a law may look at: one number for the whole metal, or arrays over its nodes.
 
-    volume_loss : V_L of the whole metal.  concentration : of the liquid that a node sees, mol/m^3
+    volume_loss : V_L of the whole metal.  phase : which of the scene's solids a node is (from 1).
+    concentration : of the liquid that a node sees, mol/m^3
     (the mean over its bonds to liquid).  potential : metal minus liquid, V.  age : s since the
     node was exposed.  What a law does not need may be missing.
     """
 
     volume_loss: float | np.ndarray = 0.0
+    phase: np.ndarray | None = None
     concentration: np.ndarray | None = None
     potential: np.ndarray | float | None = None
     age: np.ndarray | None = None

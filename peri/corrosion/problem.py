@@ -6,17 +6,13 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from peri.corrosion import bimaterial
+from peri.corrosion import stage as bimaterial_stage
 from peri.corrosion.bimaterial import BiMaterial
-from peri.corrosion.interface import late_exposure
 from peri.corrosion.kinetics import Exposed
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.checkpoints import fingerprint
 from peri.engine.problem import Attempt, Fields, FirstOrder, Stage, State
 from peri.engine.processes import ONE_PROCESS, OneProcess
-
-_LATE = 4.0
-"""Weight of what a step exposes too late (or, under Faraday's law, at an estimated time)."""
 
 _OF_THE_BOX = ("theta", "exposed")
 """Fields that live on the box around the metal."""
@@ -69,11 +65,11 @@ class CorrosionProblem(FirstOrder):
         self.processes, self._whole_scene = processes, scene
         self.discrete = BiMaterial(scene, solver_tolerance, processes)
         self.scene = self.discrete.scene
-        missing = self.scene.kinetics.needs - {"volume_loss", "concentration", "age"} - set(given)
+        missing = self.scene.needs - {"volume_loss", "phase", "concentration", "age"} - set(given)
         if missing:
             raise ValueError(
-                f"kinetics: {type(self.scene.kinetics).__name__} needs "
-                f"{', '.join(sorted(missing))}, which a march of corrosion alone does not have"
+                f"kinetics: it needs {', '.join(sorted(missing))}, which a march of corrosion "
+                "alone does not have"
             )
 
     def key(self) -> str:
@@ -97,7 +93,7 @@ class CorrosionProblem(FirstOrder):
 
     @property
     def _ages(self) -> bool:
-        return "age" in self.scene.kinetics.needs and self.discrete.box is not None
+        return "age" in self.scene.needs and self.discrete.box is not None
 
     def _exposed(self) -> np.ndarray:
         """Metal nodes of the box that see liquid."""
@@ -132,14 +128,10 @@ class CorrosionProblem(FirstOrder):
 
     def accept(self, state: State, stages: Sequence[Stage], step: float) -> None:
         """Metal that is used up turns liquid."""
-        concentration, solid = state.fields["concentration"], self.scene.solid_concentration
-        highest = solid * (1 + 1e-12)
-        if self.discrete.faradaic and self.processes.any(concentration.max() > highest):
-            raise ValueError(
-                "saturation: 'none' with dissolution 'faradaic'; the liquid fills beyond the "
-                f"metal's concentration at {state.time:.4g} s, use 'complementarity'"
-            )
-        dissolved = self.discrete.dissolve(concentration, stages[-1].extra.emptied)
+        concentration, law = state.fields["concentration"], self.scene.dissolution
+        law.check(self.discrete, concentration, state.time)
+        gone = law.gone(self.discrete, concentration, stages[-1].extra.emptied)
+        dissolved = self.discrete.dissolve(gone)
         state.fields["metal"] = self.discrete.metal
         state.numbers["dissolved"] = dissolved
         if self._ages and dissolved:
@@ -194,9 +186,9 @@ class CorrosionProblem(FirstOrder):
         self._surround(old)
         loss = old.numbers["volume_loss"]
         new, release, theta = self.discrete.explicit_step(old.fields["concentration"], step, loss)
-        return self._stage(bimaterial.Stage(new, theta, loss, release, 0, 1))
+        return self._stage(bimaterial_stage.Stage(new, theta, loss, release, 0, 1))
 
-    def _stage(self, solved: bimaterial.Stage) -> Stage:
+    def _stage(self, solved: bimaterial_stage.Stage) -> Stage:
         fields = {"concentration": solved.concentration}
         if solved.theta is not None:
             fields["theta"] = solved.theta
@@ -212,32 +204,28 @@ class CorrosionProblem(FirstOrder):
 
     def pace(self, state: State) -> float:
         """The fastest metal node's relative loss, 1/s."""
-        discrete, law = self.discrete, self.scene.kinetics
-        if not law.is_global:
+        if not self.scene.one_rate:
             return self.limits(state)[1]
-        rate = self.processes.largest(float(discrete.metal_rates().max(initial=0.0)))
-        return rate * law.rate(Exposed(0.0))
+        rate = self.processes.largest(float(self.discrete.metal_rates().max(initial=0.0)))
+        return rate * self.scene.kinetics.rate(Exposed(0.0))
 
     def bounded(self, fields: Fields) -> Fields:
         """Concentrations from 0 to C_solid."""
-        clipped = np.clip(fields["concentration"], 0.0, self.scene.solid_concentration)
+        clipped = np.clip(fields["concentration"], 0.0, self.scene.highest_concentration)
         return {"concentration": clipped}
 
     # --- measures of a step ---------------------------------------------------------------
 
     def continues(self, first: Stage, right: Fields) -> bool:
-        """Under Faraday's law: whether no node is empty at the first stage or its right side."""
-        if not self.discrete.faradaic:
-            return True
-        emptied = first.extra.emptied
-        return not self.processes.any(right["concentration"].min() < 0 or emptied.any())
+        """As the law of the bonds says."""
+        return self.scene.dissolution.continues(self.discrete, first, right)
 
     def admissible(self, old: State, stages: Sequence[Stage]) -> bool:
-        """Whether no metal gained, no liquid passed its bounds and (Faraday) no node is empty."""
-        if self.discrete.faradaic and self.processes.any(stages[-1].extra.emptied.any()):
+        """Whether the law is content, no metal gained and no liquid passed its bounds."""
+        if not self.scene.dissolution.admissible(self.discrete, stages):
             return False
         new, before = stages[-1].fields["concentration"], old.fields["concentration"]
-        rounding = 1e-12 * self.scene.solid_concentration
+        rounding = 1e-12 * self.scene.highest_concentration
         metal = self.discrete.metal
         out = np.any(new[metal] > before[metal] + rounding) or new.min() < -rounding
         if self.scene.saturation == "complementarity":
@@ -247,35 +235,5 @@ class CorrosionProblem(FirstOrder):
         return not self.processes.any(out)
 
     def change(self, attempt: Attempt) -> float:
-        """Relative change of the metal's loss rate in a step."""
-        if self.discrete.faradaic:
-            return self._faradaic_change(attempt)
-        old = attempt.old.fields["concentration"]
-        new = attempt.stages[-1].fields["concentration"]
-        change = self._relative_change(new - old, attempt.expected["concentration"])
-        late = 0.0
-        if self.discrete.box is not None:
-            late = _LATE * late_exposure(self.discrete, old, new)
-        return max(attempt.share * change, late)
-
-    def _relative_change(self, change: np.ndarray, expected: np.ndarray) -> float:
-        """Difference of the metal's change from the expected one, node by node, over their loss."""
-        discrete, total = self.discrete, self.processes.total
-        metal = discrete.metal
-        volume = discrete.capacity[metal]
-        progress = total(float((volume * np.abs(change[metal])).sum()))
-        # What the solver's tolerance moves says nothing about the rate.
-        if progress <= 0.1 * discrete.tolerance * discrete.metal_scale:
-            return 0.0
-        return total(float((volume * np.abs(change - expected)[metal]).sum())) / progress
-
-    def _faradaic_change(self, attempt: Attempt) -> float:
-        """The same in sum: a moving front hands its rate from node to node."""
-        last, loss = attempt.stages[-1], attempt.old.numbers["volume_loss"]
-        lost = last.numbers["volume_loss"] - loss
-        change = 0.0
-        if attempt.previous_step and lost > 0.1 * self.discrete.tolerance:
-            before = loss - attempt.previous.numbers["volume_loss"]
-            expected = attempt.step / attempt.previous_step * before
-            change = abs(lost - expected) / lost
-        return max(change, _LATE * last.extra.late)
+        """Relative change of the metal's loss rate in a step, as the law measures it."""
+        return self.scene.dissolution.change(self.discrete, attempt)

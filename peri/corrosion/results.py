@@ -95,6 +95,7 @@ def write_image_series(folder: Path, result) -> Path:
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     scene = result.scene
+    solid = scene.solid_concentrations()
     lead = (1,) * (3 - scene.lattice.dimension)
     entries = []
     for n, time in enumerate(result.times):
@@ -104,7 +105,8 @@ def write_image_series(folder: Path, result) -> Path:
             origin=scene.lattice.origin + (0.0,) * len(lead),
         )
         values = result.concentration[n]
-        damage = np.where(scene.metal, 1.0 - values / scene.solid_concentration, np.nan)
+        damage = np.full(values.shape, np.nan)
+        damage[scene.metal] = 1.0 - (values / np.where(scene.metal, solid, 1.0))[scene.metal]
         phase = scene.domain.astype(np.uint8) + result.metal[n]
         image["concentration"] = values.ravel(order="F").astype(np.float32)
         image["corrosion_damage"] = damage.ravel(order="F").astype(np.float32)

@@ -125,8 +125,9 @@ def _check_scheme(problem: CorrosionProblem, stepping: TimeStepping) -> None:
             "scheme: 'sdirk2' with saturation 'as_published'; its switch lasts for a step, so "
             "use backward_euler with a fixed step"
         )
-    if problem.scene.dissolution == "faradaic" and stepping.scheme == "forward_euler":
+    law = problem.scene.dissolution
+    if stepping.scheme not in law.schemes:
         raise ValueError(
-            "scheme: 'forward_euler' with dissolution 'faradaic'; use backward_euler or sdirk2, "
-            "which know when a node is empty"
+            f"scheme: {stepping.scheme!r} with dissolution {law.name!r}; allowed: "
+            f"{', '.join(law.schemes)} ({law.only})"
         )

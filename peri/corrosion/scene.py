@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from peri.corrosion.kinetics import QUANTITIES, ConstantRate, Kinetics
+from peri.corrosion.laws import SATURATION_MODELS, InterfaceLaw, interface_law
+from peri.corrosion.solids import Solid
 from peri.engine.cells import hand_over
 from peri.engine.influence import Stencil, closed_strength, diffusion_stencil
 from peri.engine.lattice import Lattice
@@ -19,8 +21,6 @@ if TYPE_CHECKING:
 
 BOUNDARIES = ("refreshed", "no_flux")
 FLUX_CALIBRATIONS = ("isotropic", "axis")
-DISSOLUTION_LAWS = ("proportional", "faradaic")
-SATURATION_MODELS = ("complementarity", "as_published", "none")
 
 
 @dataclass(frozen=True)
@@ -55,9 +55,9 @@ class CorrosionScene:
     flux_calibration : {"isotropic", "axis"}
         S as the mean over all orientations of the front (for bodies), or of a front along the
         lattice's axes (exact for a flat front that lies so).
-    dissolution : {"proportional", "faradaic"}
+    dissolution : {"proportional", "faradaic"} or InterfaceLaw
         What an interface bond carries: D_int w (C_i - C_j), or the flux of Faraday's law,
-        D_int w C_solid, until its metal node is empty (faradaic.py).
+        D_int w C_solid, until its metal node is empty (corrosion.laws).  A word becomes its law.
     kinetics : Kinetics
         How fast the interface dissolves; see corrosion.kinetics.
     kernel_exponent, influence, calibration :
@@ -67,6 +67,9 @@ class CorrosionScene:
         Rate classes of the cells, for a solid whose surface is known: metal and liquid then share
         the cut cells (cells.py), and rates are those of the surface, whatever the lattice.
         Without it a node has one phase and one rate.
+    solids, phase : tuple of Solid, uint8 array, optional
+        The solids that the metal is made of and which of them (from 1; 0 off the metal) each node
+        is; without them all metal is one solid of `solid_concentration`.
 
     Raises
     ------
@@ -86,13 +89,15 @@ class CorrosionScene:
     interface_diffusivity: float | None = None
     dissolution_flux: float | None = None
     flux_calibration: str = "isotropic"
-    dissolution: str = "proportional"
+    dissolution: str | InterfaceLaw = "proportional"
     kinetics: Kinetics = ConstantRate()
     kernel_exponent: float = 0.0
     influence: str = "constant"
     calibration: str = "discrete"
     saturation: str = "complementarity"
     exposure: CellExposure | None = field(default=None, repr=False)
+    solids: tuple[Solid, ...] = ()
+    phase: np.ndarray | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         shape = self.lattice.shape
@@ -107,26 +112,23 @@ class CorrosionScene:
             fraction = self.metal_fraction
             if fraction.shape != shape or not (fraction.min() >= 0 and fraction.max() <= 1):
                 raise ValueError(f"metal_fraction: it must be {shape} with values from 0 to 1")
+        object.__setattr__(self, "dissolution", interface_law(self.dissolution))
         for name, allowed in (
             ("boundary", BOUNDARIES),
             ("saturation", SATURATION_MODELS),
             ("flux_calibration", FLUX_CALIBRATIONS),
-            ("dissolution", DISSOLUTION_LAWS),
         ):
             if getattr(self, name) not in allowed:
                 raise ValueError(f"{name}: {getattr(self, name)!r}; allowed: {', '.join(allowed)}")
-        if self.dissolution == "faradaic" and self.saturation == "as_published":
+        if self.saturation not in self.dissolution.saturations:
             raise ValueError(
-                "saturation: 'as_published' with dissolution 'faradaic'; its switch belongs to "
-                "the proportional law, allowed: complementarity, none"
+                f"saturation: {self.saturation!r} with dissolution {self.dissolution.name!r}; "
+                f"allowed: {', '.join(self.dissolution.saturations)}"
             )
         if not isinstance(self.kinetics, Kinetics):
             raise ValueError(
                 f"kinetics: {self.kinetics!r}; it must be a corrosion.kinetics.Kinetics"
             )
-        if not self.kinetics.needs <= set(QUANTITIES):
-            unknown = ", ".join(sorted(self.kinetics.needs - set(QUANTITIES)))
-            raise ValueError(f"kinetics: it needs {unknown}; known: {', '.join(QUANTITIES)}")
         for name in ("solid_concentration", "saturation_concentration", "liquid_diffusivity"):
             _check_positive(name, getattr(self, name))
         if not self.saturation_concentration < self.solid_concentration:
@@ -134,6 +136,7 @@ class CorrosionScene:
                 f"saturation_concentration: {self.saturation_concentration} mol/m3 must be below "
                 f"solid_concentration {self.solid_concentration} mol/m3"
             )
+        self._check_solids()
         if (self.interface_diffusivity is None) == (self.dissolution_flux is None):
             raise ValueError("interface_diffusivity, dissolution_flux: give exactly one of them")
         for name in ("interface_diffusivity", "dissolution_flux"):
@@ -146,12 +149,13 @@ class CorrosionScene:
 
     def _check_exposure(self) -> None:
         """Rate classes are derived for one law so far; the others are refused by name."""
-        for name, allowed in (("dissolution", "proportional"), ("saturation", "complementarity")):
-            if getattr(self, name) != allowed:
-                raise ValueError(
-                    f"{name}: {getattr(self, name)!r} with rate classes; allowed: {allowed}"
-                )
-        if not self.kinetics.is_global:
+        for name, given, allowed in (
+            ("dissolution", self.dissolution.name, "proportional"),
+            ("saturation", self.saturation, "complementarity"),
+        ):
+            if given != allowed:
+                raise ValueError(f"{name}: {given!r} with rate classes; allowed: {allowed}")
+        if not self.one_rate:
             raise ValueError(
                 f"kinetics: {type(self.kinetics).__name__} gives one rate per node; rate classes "
                 "need one of the volume loss alone"
@@ -166,6 +170,58 @@ class CorrosionScene:
                 "metal: with rate classes it must be the cells that hold metal, "
                 "exposure.metal.fraction > 0"
             )
+
+    def _check_solids(self) -> None:
+        object.__setattr__(self, "solids", self.solids or (Solid(self.solid_concentration),))
+        if self.phase is not None:
+            phase, highest = self.phase, len(self.solids)
+            if phase.shape != self.metal.shape or phase.dtype != np.uint8:
+                raise ValueError(f"phase: {phase.dtype} {phase.shape}; it must be uint8 on nodes")
+            if not np.array_equal(phase > 0, self.metal) or phase.max(initial=0) > highest:
+                raise ValueError(f"phase: from 1 to {highest} on the metal, 0 elsewhere, wanted")
+        elif len(self.solids) > 1:
+            raise ValueError("phase: it must say which of the solids each metal node is")
+        lowest = min(solid.concentration for solid in self.solids)
+        if not self.saturation_concentration < lowest:
+            raise ValueError(f"solids: concentration {lowest} mol/m3 must exceed C_sat")
+        if not self.needs <= set(QUANTITIES):
+            unknown = ", ".join(sorted(self.needs - set(QUANTITIES)))
+            raise ValueError(f"kinetics: it needs {unknown}; known: {', '.join(QUANTITIES)}")
+
+    def law_of(self, solid: Solid) -> Kinetics:
+        """The kinetics of a solid."""
+        return solid.kinetics or self.kinetics
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """What the kinetics of all solids look at."""
+        return frozenset().union(*(self.law_of(solid).needs for solid in self.solids))
+
+    @property
+    def one_rate(self) -> bool:
+        """Whether one number, given by the volume loss, is the rate of all metal."""
+        only = self.solids[0]
+        plain = len(self.solids) == 1 and only == Solid(self.solid_concentration)
+        return plain and self.kinetics.is_global
+
+    @property
+    def never_speeds_up(self) -> bool:
+        """Whether the rate at zero volume loss bounds that of all metal from above."""
+        return self.one_rate and self.kinetics.never_speeds_up
+
+    @property
+    def highest_concentration(self) -> float:
+        """The largest C_solid, mol/m^3."""
+        return max(solid.concentration for solid in self.solids)
+
+    def phases(self) -> np.ndarray:
+        """Number of each node's solid (from 1; 0 off the metal), uint8."""
+        return self.metal.astype(np.uint8) if self.phase is None else self.phase
+
+    def solid_concentrations(self) -> np.ndarray:
+        """C_solid of each node's solid, mol/m^3; 0 off the metal."""
+        table = np.array([0.0, *(solid.concentration for solid in self.solids)])
+        return table[self.phases()]
 
     def _make_stencil(self) -> Stencil:
         return diffusion_stencil(

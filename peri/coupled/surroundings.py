@@ -40,9 +40,9 @@ class Surroundings:
         scene = discrete.scene
         if not discrete.processes.whole:
             raise ValueError("ranks: the liquid's chemistry needs the whole lattice in one process")
-        if scene.dissolution != "proportional":
+        if not scene.dissolution.reduces:
             raise ValueError(
-                f"dissolution: '{scene.dissolution}' with the ions of the liquid; allowed: "
+                f"dissolution: '{scene.dissolution.name}' with the ions of the liquid; allowed: "
                 "proportional"
             )
         fixed = discrete.sum.crop(discrete.fixed.astype(float)) > 0

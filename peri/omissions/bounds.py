@@ -21,16 +21,14 @@ def front_depth(scene: CorrosionScene, end_time: float) -> float:
     A node loses only once it sees liquid, at a rate of at most lambda = D_int g(0) times its
     whole bond sum, so it turns liquid no sooner than t = ln(C_solid/C_sat) / lambda later
     (1 / lambda under Faraday's law).  Each such time moves the front by at most a horizon.
-    The kinetics must not speed up (Kinetics.never_speeds_up).
+    The kinetics must not speed up (CorrosionScene.never_speeds_up).
     """
     reach = float(np.max(np.multiply(scene.stencil.reach, scene.stencil.spacing)))
     rate = scene.base_interface_diffusivity() * scene.kinetics.rate(Exposed(0.0))
     rate *= scene.stencil.total * float(scene.capacity().max(initial=1.0))
     if rate == 0 or end_time == 0:
         return reach
-    needed = 1.0
-    if scene.dissolution == "proportional":
-        needed = math.log(scene.solid_concentration / scene.saturation_concentration)
+    needed = scene.dissolution.lifetime(scene)
     return reach * (1.0 + math.floor(end_time * rate / needed))
 
 

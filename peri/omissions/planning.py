@@ -154,7 +154,7 @@ def _solid_core(scene: CorrosionScene, end_time: float) -> Omission:
         f"diffusion between the {count} metal nodes is not part of the model, so each one is "
         "eliminated exactly and takes no unknown"
     )
-    if scene.exposure is None and scene.kinetics.never_speeds_up:
+    if scene.exposure is None and scene.never_speeds_up:
         risk = int(metal_at_risk(scene, end_time).sum())
         depth = 1e6 * front_depth(scene, end_time)
         reason += (
@@ -194,7 +194,7 @@ def _far_liquid(
     if scene.saturation != "complementarity":
         highest = scene.solid_concentration
     least = 0.0
-    if scene.kinetics.never_speeds_up:
+    if scene.never_speeds_up:
         least = least_loss(scene, end_time, problem)
     reach = float(np.max(np.multiply(scene.stencil.reach, scene.stencil.spacing)))
     if not least > 0 or not liquid.any() or not scene.metal.any():
@@ -239,11 +239,11 @@ def _liquid(scene, problem, end_time, tolerance, refused) -> Omission:
     eps = max C_liquid / C_solid each node's loss differs by at most the share eps; a kinetics
     that only slows with V_L keeps V_L(t) within eps / (1 - eps) of the clean-liquid value.
     """
-    if scene.dissolution != "proportional":
+    if not scene.dissolution.reduces:
         return Omission(
             LIQUID, "needed: a front that moves at a given flux is marched", math.inf, False
         )
-    if not scene.kinetics.never_speeds_up:
+    if not scene.never_speeds_up:
         reason = "needed: the kinetics may speed up, or differs from place to place"
         return Omission(LIQUID, reason, math.inf, False)
     bound = liquid_bound(scene, problem)

@@ -266,15 +266,15 @@ class ReducedCorrosion:
 
 def refuse_other_laws(scene: CorrosionScene) -> None:
     """Refuse a scene whose bonds do not carry D_int g(V_L) w (C_i - C_j)."""
-    if not scene.kinetics.is_global:
-        needs = ", ".join(sorted(scene.kinetics.needs))
+    if not scene.one_rate:
+        needs = ", ".join(sorted(scene.needs))
         raise ValueError(
-            f"kinetics: {type(scene.kinetics).__name__} needs {needs}; clean liquid reduces to one "
-            "equation for laws of the volume loss alone"
+            f"kinetics: {len(scene.solids)} solids, {type(scene.kinetics).__name__} needs {needs}; "
+            "clean liquid reduces to one equation for one solid and laws of the volume loss alone"
         )
-    if scene.dissolution != "proportional":
+    if not scene.dissolution.reduces:
         raise ValueError(
-            f"dissolution: {scene.dissolution!r}; clean liquid reduces to one equation for "
+            f"dissolution: {scene.dissolution.name!r}; clean liquid reduces to one equation for "
             "'proportional' only"
         )
 

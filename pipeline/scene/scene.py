@@ -12,6 +12,7 @@ import types
 import typing
 from dataclasses import dataclass, field
 
+from peri.corrosion.laws import INTERFACE_LAWS
 from peri.engine.stepping import SCHEMES as TIME_SCHEMES
 from perilife_data import did_you_mean
 from perilife_data.limits import LARGEST_YIELD_STRAIN
@@ -30,7 +31,7 @@ LONGEST_IMMERSION = 100 * YEAR
 DOMAIN_SHAPES = ("cylinder", "ball")
 BOUNDARIES = ("refreshed", "no_flux")
 SATURATIONS = ("complementarity", "as_published", "none")
-DISSOLUTION_LAWS = ("proportional", "faradaic")
+DISSOLUTION_LAWS = tuple(INTERFACE_LAWS)
 OMITTABLE = ("liquid", "far_liquid")
 """What a march can be kept from leaving out; as in peri.omissions.planning, slow to import."""
 

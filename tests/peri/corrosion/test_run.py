@@ -27,7 +27,7 @@ SCHEMES = {
 
 def check_invariants(scene, result):
     """What holds for every scene and step."""
-    solid, saturated = scene.solid_concentration, scene.saturation_concentration
+    solid, saturated = scene.highest_concentration, scene.saturation_concentration
     history = result.history
     assert np.isfinite(result.concentration).all()
     # metal + liquid + released: measured at most 3e-11 (where the liquid is too clean to close

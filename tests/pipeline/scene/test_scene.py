@@ -266,7 +266,7 @@ def test_time_zero_is_added_in_front_for_the_strength_ratio(scene):
 
 
 def test_the_names_of_what_a_march_may_leave_out_are_those_of_peri():
-    from peri.corrosion import kinetics, scene
+    from peri.corrosion import kinetics, laws
     from peri.omissions import planning
 
     assert OMITTABLE == planning.OMISSIONS
@@ -277,7 +277,7 @@ def test_the_names_of_what_a_march_may_leave_out_are_those_of_peri():
         assert KINETICS[name] == tuple(
             f.name + "?" * may for f, may in zip(own, optional, strict=True)
         )
-    assert DISSOLUTION_LAWS == scene.DISSOLUTION_LAWS
+    assert DISSOLUTION_LAWS == tuple(laws.INTERFACE_LAWS)
     assert CorrosionSettings().tolerance == planning.DEFAULT_TOLERANCE
 
 

@@ -1,0 +1,97 @@
+"""What a bond between metal and liquid carries: the laws by name, and what each has to say.
+
+A law is one file with a class and its `Exchange`, and a row in INTERFACE_LAWS.  Names can be read
+without loading a law, and nothing here needs more than the standard library.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, ClassVar
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from peri.corrosion.solids import Solid
+    from peri.engine.problem import Attempt, Fields, Stage
+
+SATURATION_MODELS = ("complementarity", "as_published", "none")
+
+INTERFACE_LAWS = {
+    "proportional": "peri.corrosion.proportional.Proportional",
+    "faradaic": "peri.corrosion.faradaic.Faradaic",
+}
+"""Where each law is."""
+
+
+class InterfaceLaw:
+    """A law of the bonds across the interface.
+
+    name : as scenes and files say it.  saturations, schemes : what it goes with, and why not
+    with the others (`only`).  reduces : whether in clean liquid every metal node obeys
+    C' = -lambda g C, which peri.omissions rests on.
+    """
+
+    name: ClassVar[str]
+    saturations: ClassVar[tuple[str, ...]] = SATURATION_MODELS
+    schemes: ClassVar[tuple[str, ...]] = ("forward_euler", "backward_euler", "sdirk2")
+    only: ClassVar[str] = ""
+    reduces: ClassVar[bool] = False
+
+    def key(self) -> dict[str, object]:
+        """What determines the law, for the mark of a checkpoint."""
+        return {"law": type(self).__qualname__, **vars(self)}
+
+    def liquid_below(self, scene) -> float:
+        """Metal with no more than this is liquid, mol/m^3."""
+        raise NotImplementedError
+
+    def lifetime(self, scene) -> float:
+        """How long a node of the shortest-lived solid lasts in clean liquid, over 1/lambda."""
+        raise NotImplementedError
+
+    def share_of(self, solid: Solid, scene) -> float:
+        """The rate of a solid's bonds over that of the scene's, for its flux to be `solid.rate`."""
+        raise NotImplementedError
+
+    def exchange(self, discrete, old: np.ndarray, tau: float):
+        """The Exchange of one stage (tau in s) from the right side `old` (padded)."""
+        raise NotImplementedError
+
+    # --- the march: what a step may do, and how its rates changed ---------------------------
+
+    def gone(self, discrete, concentration: np.ndarray, emptied) -> np.ndarray | None:
+        """Metal nodes that an accepted step turns liquid."""
+        raise NotImplementedError
+
+    def check(self, discrete, concentration: np.ndarray, time: float) -> None:
+        """ValueError where the law's physics ends."""
+
+    def continues(self, discrete, first: Stage, right: Fields) -> bool:
+        """Whether a second-order step may go on from its first stage to this right side."""
+        return True
+
+    def admissible(self, discrete, stages: Sequence[Stage]) -> bool:
+        """Whether a second-order step is positive as far as the law goes."""
+        return True
+
+    def change(self, discrete, attempt: Attempt) -> float:
+        """Relative change of the metal's loss rate in a step."""
+        raise NotImplementedError
+
+
+def interface_law(law: str | InterfaceLaw) -> InterfaceLaw:
+    """A law by its name (or itself).
+
+    Raises
+    ------
+    ValueError
+        For an unknown name.
+    """
+    if isinstance(law, InterfaceLaw):
+        return law
+    if law not in INTERFACE_LAWS:
+        raise ValueError(f"dissolution: {law!r}; allowed: {', '.join(INTERFACE_LAWS)}")
+    module, _, name = INTERFACE_LAWS[law].rpartition(".")
+    return getattr(importlib.import_module(module), name)()

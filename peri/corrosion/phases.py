@@ -1,0 +1,131 @@
+"""Where metal and liquid are on a lattice, and the box around the metal with its own arrays.
+
+Padded arrays as in engine.operators.  What depends on the phases is recomputed by `update_phase`
+alone, so that a march cannot have one array of an old phase.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from peri.corrosion.blocks import block_scene
+from peri.corrosion.scene import CorrosionScene
+from peri.engine.operators import NonlocalSum
+from peri.engine.processes import ONE_PROCESS, OneProcess
+
+
+class Phases:
+    """Metal, liquid and held nodes of a scene, on padded arrays.
+
+    Parameters
+    ----------
+    scene : CorrosionScene
+        On the root; elsewhere None.
+    processes : OneProcess or its like
+        Who holds which block of the lattice; `self.scene` and all arrays are those of the block.
+
+    sum, box, near : sums over bonds on the lattice, on the box around the initial metal (None
+    without metal), and on the lattice for the box's rows only.  capacity : relative volume of
+    each cell.  metal, fixed, free : bool, nodes that are metal, held at zero, and unknown liquid.
+    solid : uint8, which of the scene's solids (from 1) a node was at the start.  box_* : the same
+    on the box.
+    """
+
+    def __init__(self, scene: CorrosionScene | None, processes: OneProcess = ONE_PROCESS) -> None:
+        self.processes = processes
+        self.scene = scene = block_scene(scene, processes)
+        lattice, stencil = scene.lattice, scene.stencil
+        self.sum = NonlocalSum(stencil, lattice.shape, scene.domain, processes=processes)
+        fixed = scene.refreshed()
+        self.fixed = self.sum.pad(fixed) > 0
+        self.is_open = processes.any(fixed.any())
+        self.domain = self.sum.pad(scene.domain) > 0
+        self.capacity = self.sum.pad(scene.capacity())
+        self.metal = self.sum.pad(scene.metal) > 0
+        self.initial_metal = self.metal.copy()
+        self.solid = self.sum.pad(scene.phases()).astype(np.uint8)
+        self._rates: tuple[float, float] | None = None
+        self._make_box()
+        self.update_phase()
+
+    def of_solids(self, values: list[float]) -> np.ndarray:
+        """A padded array with one value per solid on the initial metal, zero elsewhere."""
+        out = np.zeros(self.sum.padded_shape)
+        for number, value in enumerate(values, 1):
+            out[self.solid == number] = value
+        return out
+
+    def volumes(self) -> list[float]:
+        """Relative volume of the initial metal of each solid, in cells, over all processes."""
+        return [
+            self.processes.total(float(self.capacity[self.solid == number].sum()))
+            for number in range(1, len(self.scene.solids) + 1)
+        ]
+
+    def _make_box(self) -> None:
+        """The part of the lattice within reach of the initial metal, with its own arrays."""
+        interior = self.metal[self.sum.interior]
+        largest = self.processes.largest
+        window = []
+        for a, (reach, start) in enumerate(zip(self.sum.reach, self.processes.start, strict=True)):
+            present = np.flatnonzero(interior.any(axis=tuple(b for b in range(3) if b != a)))
+            first = -largest(-(present[0] + start) if present.size else -np.inf)
+            last = largest(present[-1] + start if present.size else -np.inf)
+            if first > last:
+                self.box = None
+                return
+            # A block that lies off the metal takes part with one layer of nodes.
+            n = interior.shape[a]
+            low = min(max(0, int(first) - reach - start), n - 1)
+            window.append(slice(low, max(low + 1, min(n, int(last) + reach + 1 - start))))
+        padded = [
+            slice(w.start + r, w.stop + r) for w, r in zip(window, self.sum.reach, strict=True)
+        ]
+        self.window = tuple(padded)
+        shape = tuple(w.stop - w.start for w in window)[3 - self.sum.stencil.dimension :]
+        self.box = NonlocalSum(
+            self.sum.stencil, shape, processes=self.processes, window=tuple(window)
+        )
+        # Like `sum`, but on the rows of the box only.
+        rows = np.zeros(self.sum.shape, bool)
+        rows[tuple(window)] = True
+        rows = rows.reshape(self.sum.lattice_shape)
+        self.near = NonlocalSum(self.sum.stencil, rows.shape, rows, processes=self.processes)
+
+    def take(self, values: np.ndarray) -> np.ndarray:
+        """The box's part of a padded field, padded itself."""
+        out = np.zeros(self.box.padded_shape)
+        out[self.box.interior] = values[self.window]
+        return out
+
+    def put(self, values: np.ndarray) -> np.ndarray:
+        """A padded field that is zero but for the box's padded values."""
+        out = np.zeros(self.sum.padded_shape)
+        out[self.window] = values[self.box.interior]
+        return out
+
+    def update_phase(self) -> None:
+        """Recompute what depends on which nodes are metal."""
+        liquid = self.domain & ~self.metal
+        self.free = liquid & ~self.fixed
+        self.liquid_volume = np.where(liquid, self.capacity, 0.0)
+        self.free_volume = np.where(self.free, self.capacity, 0.0)
+        self.neighbour_liquid = self.sum(self.liquid_volume)
+        self._rates = None
+        if self.box is not None:
+            self.box_metal = self.take(self.metal) > 0
+            self.box_phase = np.where(self.box_metal, self.take(self.solid), 0).astype(np.uint8)
+            self.box_metal_volume = self.take(np.where(self.metal, self.capacity, 0.0))
+            self.box_liquid_volume = self.take(self.liquid_volume)
+            self.box_free_volume = self.take(self.free_volume)
+            self.box_neighbour_liquid = self.take(self.neighbour_liquid)
+
+    def dissolve(self, gone: np.ndarray | None) -> int:
+        """Turn metal nodes into liquid; returns how many (over all processes)."""
+        if gone is None:
+            return 0
+        count = int(self.processes.total(int(gone.sum())))
+        if count:
+            self.metal = self.metal & ~gone
+            self.update_phase()
+        return count
