@@ -65,13 +65,17 @@ def well_stirred(
     volume *= scene.lattice.cell_volume
     concentration = solid * share
     released = volume * solid * reduced.dissolved_at(found.exposure)
+    amount = np.array([_metal_amount(scene, problem, z) for z in found.exposure])
+    initial = volume * solid
     history = {name: np.zeros(moments.size) for name in HISTORY}
     history.update(
         time=moments,
         step=np.diff(moments, prepend=0.0),
         volume_loss=found.value,
-        metal_amount=volume * solid - released,
+        metal_amount=amount,
         released_amount=released,
+        # what the nodes still hold, against what the law of all of them says has gone
+        balance_error=(amount + released - initial) / initial,
     )
     return CorrosionResult(
         scene, times, concentration, metal, found.value[asked], history,
@@ -90,6 +94,17 @@ def _share_left(scene: CorrosionScene, problem: BiMaterial | None, z: float) -> 
     left = metal.volume * np.exp(-class_bond_sums(scene) * z)
     mean = np.bincount(metal.cell, left, out.size).reshape(out.shape)
     return np.divide(mean, metal.fraction, out=out, where=metal.fraction > 0)
+
+
+def _metal_amount(scene: CorrosionScene, problem: BiMaterial | None, z: float) -> float:
+    """Amount (mol) that the metal nodes, or rate classes, hold at an exposure z (m^2)."""
+    if scene.exposure is None:
+        left = np.exp(-problem.metal_bond_sums()[scene.metal] * z)
+        volumes = scene.capacity()[scene.metal]
+    else:
+        left = np.exp(-class_bond_sums(scene) * z)
+        volumes = scene.exposure.metal.volume
+    return float(volumes @ left) * scene.lattice.cell_volume * scene.solid_concentration
 
 
 def clean_march(

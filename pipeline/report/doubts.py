@@ -13,16 +13,19 @@ from pipeline.scene.scene import (
     Scene,
     ScrewGeometry,
 )
-from pipeline.scene.units import format_seconds
+from pipeline.scene.units import format_length, format_seconds
 from pipeline.stages.plan import scene_omissions
+
+ENOUGH_SPACINGS = 4
+"""Lattice spacings across the thinnest wall from which on no warning is given."""
 
 
 def checks(run: RunResults) -> list[dict[str, str]]:
-    """Measured checks of this run: what, how large, what it means."""
+    """Measured checks of this run: what, how large, what it means, from what it was computed."""
     found = []
 
-    def add(what: str, value: str, meaning: str) -> None:
-        found.append({"what": what, "value": value, "meaning": meaning})
+    def add(what: str, value: str, meaning: str, source: str) -> None:
+        found.append({"what": what, "value": value, "meaning": meaning, "source": source})
 
     for alloy in run.alloys:
         error = column(alloy.history, "balance_error")
@@ -31,6 +34,8 @@ def checks(run: RunResults) -> list[dict[str, str]]:
                 f"{alloy.name}: mass balance of the corrosion",
                 f"{np.nanmax(np.abs(error)):.0e}",
                 "largest share of the metal that appears or vanishes in the computation",
+                "balance_error of history.csv, each step: the metal that the nodes hold, the metal "
+                "in the liquid and what has left, against the metal at the start",
             )
     everything = [alloy for alloys in run.held.values() for alloy in alloys]
     for alloy in run.alloys:
@@ -48,6 +53,8 @@ def checks(run: RunResults) -> list[dict[str, str]]:
                 percent(worst, 2),
                 f"largest difference, after {duration(item.seconds)}: what the change from the "
                 "lattice to the mesh does to the damage",
+                "corrosion.h5 and the mesh: 1 - C/C_solid summed over the nodes and, before it is "
+                "cut off, over the points of the cells",
             )
     estimates = [
         (abs(left - pulled), left, pulled, _case(run, alloy, item))
@@ -65,6 +72,7 @@ def checks(run: RunResults) -> list[dict[str, str]]:
             f"{percent(left, 0)} against {percent(pulled, 0)}",
             f"largest difference, {case}: the metal in the weakest layer between the grips, each "
             "part of it by 1 - q1 f0, over the same before immersion; no test is computed for it",
+            "corrosion.h5, layer by layer, against the tests",
         )
     torn = [
         (int(i.tensile.get("torn_cells", 0)), int(i.tensile.get("cells", 0)), _case(run, a, i))
@@ -78,6 +86,7 @@ def checks(run: RunResults) -> list[dict[str, str]]:
             f"{count} of {cells:,}",
             f"most in one test, {case}: drawn out to twice their length with at most "
             "5 % of their strength, or to five times, where no increment found equilibrium",
+            "torn_cells of tensile.json, each test",
         )
     gaps = [(_energy_gap(i), _case(run, a, i)) for a in everything for i in a.immersions]
     known = [pair for pair in gaps if pair[0] is not None]
@@ -87,6 +96,8 @@ def checks(run: RunResults) -> list[dict[str, str]]:
             f"Energy balance of the {LOADS[run.scene.tensile.load].test}s",
             percent(worst, 2),
             f"largest difference, {case}: work of the grips against what is stored and dissipated",
+            "tensile.csv, each increment: the grips' force over their way, and the energies of all "
+            "quadrature points",
         )
     return found
 
@@ -116,10 +127,14 @@ def error_estimate(run: RunResults) -> str:
 
 
 def _corrosion_error(scene: Scene) -> CorrosionError | None:
-    """What was measured of the preset's lattice and time steps, if the scene uses just these."""
+    """What was measured of the preset's lattice and time steps, if the scene uses just these.
+
+    Only the reference screw was measured.
+    """
     preset = RESOLUTIONS.get(scene.resolution)
     if preset is None or not (
-        _alike(scene.lattice, preset, spacing="spacing", horizon="horizon")
+        scene.geometry == ScrewGeometry()
+        and _alike(scene.lattice, preset, spacing="spacing", horizon="horizon")
         and _alike(scene.corrosion, preset, rate_change="rate_change")
         and _default(scene.corrosion, "scheme", "step", "saturation", "dissolution")
         and _default(scene.corrosion, "kinetics", "calibration", "influence")
@@ -161,8 +176,9 @@ def _volume_loss_error(run: RunResults) -> str:
     known = _corrosion_error(run.scene)
     if known is None:
         return (
-            "The discretisation error of the volume loss has not been measured for these lattice "
-            "and time settings, only for those of the presets."
+            "The discretisation error of the volume loss has not been measured for this solid, "
+            "lattice and time settings, only for the reference screw with those of the presets."
+            + _thin_walls(run)
         )
     errors = ", ".join(
         f"{percent(known.of(alloy.name), 1)} for {alloy.name}" for alloy in run.scene.alloys
@@ -178,6 +194,17 @@ def _volume_loss_error(run: RunResults) -> str:
     return (
         f"The volume loss is off by at most {errors} of its value because space and time are "
         f"discrete, measured up to 8 weeks {where}."
+    )
+
+
+def _thin_walls(run: RunResults) -> str:
+    """A warning where a wall has few nodes across it: the front then meets itself unresolved."""
+    feature, spacing = run.geometry.get("smallest_feature"), run.scene.lattice.spacing
+    if not feature or feature >= ENOUGH_SPACINGS * spacing * (1 - 1e-9):
+        return ""
+    return (
+        f" Its smallest feature is {format_length(feature)}, {feature / spacing:.2g} lattice "
+        f"spacings; below {ENOUGH_SPACINGS} expect errors beyond those of the presets."
     )
 
 

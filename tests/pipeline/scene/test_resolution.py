@@ -1,5 +1,6 @@
 """The presets come from the table of the study, and a report quotes their errors."""
 
+import re
 import tomllib
 from types import SimpleNamespace
 
@@ -21,7 +22,9 @@ from pipeline.scene.screw import ScrewParameters
 def run_of(**changes):
     """As much of a run as the doubts about its discretisation look at."""
     scene = resolve_scene(["Mg-5Gd", "Mg-10Gd"], ["0w", "8w"], **changes)
-    return SimpleNamespace(scene=scene, scene_extras={}, records=(), alloys=scene.alloys)
+    return SimpleNamespace(
+        scene=scene, scene_extras={}, records=(), alloys=scene.alloys, geometry={}
+    )
 
 
 def test_each_preset_is_surer_than_the_one_before_it():
@@ -123,11 +126,15 @@ def test_other_tensile_settings_do_not_borrow_the_error_of_a_preset(changes):
 def test_other_settings_do_not_borrow_the_error_of_a_preset():
     for changes in ({"spacing": 80e-6}, {"corrosion": {"step": 3600.0}}):
         text = doubts.error_estimate(run_of(**changes))
-        assert "has not been measured for these lattice and time settings" in text
+        assert "volume loss has not been measured for this solid, lattice and time settings" in text
         assert "volume loss is off by" not in text
 
 
-def test_another_solid_is_told_where_the_error_was_measured():
-    other = ScrewGeometry(ScrewParameters(thread="none"))
-    text = doubts.error_estimate(run_of(geometry=other))
-    assert "on the reference screw with Table 5.1, not here" in text
+@pytest.mark.parametrize(("feature", "warned"), [(0.4e-3, False), (0.39e-3, True), (0.2e-3, True)])
+def test_another_solid_has_no_error_and_a_warning_where_a_wall_is_thin(feature, warned):
+    run = run_of(geometry=ScrewGeometry(ScrewParameters(thread="none")))
+    run.geometry["smallest_feature"] = feature
+    text = doubts.error_estimate(run)
+    assert "volume loss has not been measured for this solid" in text
+    assert not re.search(r"\d %", text)
+    assert ("lattice spacings; below 4" in text) == warned
