@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from peri.engine import kernels
+from peri.engine import multigrid_kernels
 
 _COARSEST_CELLS = 150
 _SMOOTHING_STEPS = 2
@@ -59,7 +59,7 @@ class LocalMultigrid:
     def restrict(self, residual: np.ndarray, reach: tuple[int, ...]) -> np.ndarray:
         """Sum a padded fine-lattice residual into the right side of the first level."""
         level = self.levels[0]
-        kernels.aggregate(residual, reach, tuple(int(f) for f in self.factors), level.b)
+        multigrid_kernels.aggregate(residual, reach, tuple(int(f) for f in self.factors), level.b)
         return level.b
 
     def cycle(self, index: int = 0) -> np.ndarray:
@@ -72,8 +72,10 @@ class LocalMultigrid:
         for _ in range(visits):
             coarse = self.levels[index + 1]
             level.residual()
-            kernels.aggregate(level.r, (1, 1, 1), self.steps[index], coarse.b)
-            kernels.prolong_add(self.cycle(index + 1), self.steps[index], (1, 1, 1), level.x)
+            multigrid_kernels.aggregate(level.r, (1, 1, 1), self.steps[index], coarse.b)
+            multigrid_kernels.prolong_add(
+                self.cycle(index + 1), self.steps[index], (1, 1, 1), level.x
+            )
             level.smooth(from_zero=False)
         return level.x
 
@@ -146,7 +148,7 @@ class _Level:
         if from_zero:
             self.x[:] = 0.0
         for n in range(1, _SMOOTHING_STEPS + 1):
-            kernels.local_step(
+            multigrid_kernels.local_step(
                 self.x,
                 self.b,
                 *self.t,
@@ -155,10 +157,10 @@ class _Level:
                 (2 * n - 3) / (2 * n + 1) if n > 1 else 0.0,
                 (8 * n - 4) / (2 * n + 1) / 2.0,
             )
-            kernels.add_to(self.x, self.d)
+            multigrid_kernels.add_to(self.x, self.d)
 
     def residual(self) -> None:
-        kernels.local_residual(self.x, self.b, *self.t, self.diagonal, self.r)
+        multigrid_kernels.local_residual(self.x, self.b, *self.t, self.diagonal, self.r)
 
     def factorise(self) -> None:
         """Dense inverse of the (small) operator."""

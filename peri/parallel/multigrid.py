@@ -6,7 +6,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from peri.engine import kernels
+from peri.engine import multigrid_kernels
 from peri.engine.multigrid import coarsening_plan
 
 _SMOOTHING_STEPS = 2
@@ -121,7 +121,9 @@ class Multigrid:
 
     def restrict(self, residual: np.ndarray, reach) -> None:
         """Sum a padded fine-lattice residual into the right side of the first level."""
-        kernels.aggregate(residual, reach, tuple(int(f) for f in self.factors), self._right)
+        multigrid_kernels.aggregate(
+            residual, reach, tuple(int(f) for f in self.factors), self._right
+        )
         self._b.array[:] = self._right[1:-1, 1:-1, 1:-1].ravel()
 
     def cycle(self) -> np.ndarray:
@@ -210,7 +212,7 @@ class _Level:
         return matrix
 
     def mult(self, matrix, x, y) -> None:  # noqa: D102 (PETSc's interface)
-        kernels.local_product(
+        multigrid_kernels.local_product(
             self.grid.update(x),
             *self.conductances,
             self.diagonal,
@@ -246,12 +248,12 @@ class _Aggregates:
 
     def _add(self, coarse, fine) -> None:
         self.padded[1:-1, 1:-1, 1:-1] = coarse.array_r.reshape(self.coarse.own.shape)
-        kernels.prolong_add(
+        multigrid_kernels.prolong_add(
             self.padded, self.step, (0, 0, 0), fine.array.reshape(self.fine.own.shape)
         )
 
     def multTranspose(self, matrix, fine, coarse) -> None:  # noqa: D102, N802
-        kernels.aggregate(
+        multigrid_kernels.aggregate(
             fine.array_r.reshape(self.fine.own.shape), (0, 0, 0), self.step, self.padded
         )
         coarse.array[:] = self.padded[1:-1, 1:-1, 1:-1].ravel()

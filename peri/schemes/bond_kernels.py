@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from peri.engine.kernels import CONTRACT, Array, Triple, by_size
+from peri.engine.compiled import CONTRACT, Array, Triple, by_size
 
 
 @by_size(fastmath=CONTRACT, error_model="numpy")

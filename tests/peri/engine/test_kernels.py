@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from peri.engine import kernels
+from peri.engine import compiled, kernels
 
 ROOT = Path(__file__).parents[3]
 
@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[3]
 def test_both_versions_add_the_same():
     random = np.random.default_rng(1)
     small, large = (random.random((n,) * 3) for n in (8, 60))
-    assert small.size < kernels._THREADED_FROM < large.size
+    assert small.size < compiled._THREADED_FROM < large.size
     for values in (small, large):
         found = kernels.inner_product(values, values).sum()
         # The threads' parts are added in another order: measured 0
@@ -25,13 +25,13 @@ def test_both_versions_add_the_same():
 def test_the_cache_keeps_both_versions_apart(tmp_path):
     """One file for both would serve whichever was compiled first, whatever the size."""
     code = (
-        "import numpy as np; from peri.engine import kernels\n"
+        "import numpy as np; from peri.engine import multigrid_kernels\n"
         "for n in (8, 60):\n"
-        "    kernels.add_to(np.zeros((n,) * 3), np.ones((n,) * 3))\n"
+        "    multigrid_kernels.add_to(np.zeros((n,) * 3), np.ones((n,) * 3))\n"
     )
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
     subprocess.run([sys.executable, "-c", code], check=True, env=environment, cwd=tmp_path)
-    assert len(list(tmp_path.rglob("kernels.add_to*.nbi"))) == 2
+    assert len(list(tmp_path.rglob("multigrid_kernels.add_to*.nbi"))) == 2
 
 
 def test_the_residual_of_a_stage_is_that_of_its_formula():
