@@ -18,6 +18,8 @@ from perilife_data import did_you_mean
 from pipeline.calibration.command import add_calibrate_options
 from pipeline.campaigns.options import add_campaign_options, add_design_options
 from pipeline.record import interruption
+from pipeline.record.machine import find_place_for_compiled_code
+from pipeline.record.summary import print_summary
 from pipeline.scene.options import add_scene_options
 from pipeline.scene.parser import OneSentenceParser
 from pipeline.scene.scene import Scene
@@ -146,6 +148,7 @@ def main(arguments: list[str] | None = None) -> int:
     interruption.listen()
     # Threads that wait must not spin: on a busy machine that costs hundreds of times the work.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    find_place_for_compiled_code()
     options = argparse.Namespace(out=None)
     try:
         options = build_parser().parse_args(arguments)
@@ -233,7 +236,7 @@ def _run(options: argparse.Namespace) -> int:
 
             shared["tolerance"] = options.strength_tolerance
             rows = run_with_bands(scene, folder.path, options.samples, **shared)
-    _print_summary(rows)
+    print_summary(rows)
     print(f"\ntable:  {folder.summary_file}")
     if folder.report_file.exists():
         print(f"report: {folder.report_file}")
@@ -276,7 +279,7 @@ def _pull(options: argparse.Namespace) -> int:
 
 def _report(options: argparse.Namespace) -> int:
     def action(cycle, alloys, tests):
-        _print_summary(cycle.summarise())
+        print_summary(cycle.summarise())
         cycle.report(again=True)
 
     return _stages(options, action)
@@ -461,44 +464,6 @@ def _study_tensile(options: argparse.Namespace) -> int:
     print("\n" + "\n".join(study_tensile_results.tables(study)))
     print("\n" + "\n".join(map(str, paths)))
     return 0
-
-
-def _print_summary(rows: list) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    from pipeline.scene.loads import LOADS
-
-    names = LOADS[rows[0].load]
-    table = Table(title=f"Residual {names.strength}")
-    for column in (
-        "alloy",
-        "hold",
-        "immersion [d]",
-        "volume loss [%]",
-        "mean damage",
-        f"peak {names.reaction} [{names.shown_unit}]",
-        "strength ratio",
-        f"{names.strain_title.lower()} at peak",
-        "status",
-    ):
-        table.add_column(
-            column, justify="left" if column in ("alloy", "hold", "status") else "right"
-        )
-    for row in rows:
-        table.add_row(
-            row.alloy,
-            row.hold,
-            f"{row.immersion_days:g}",
-            f"{100 * row.volume_loss:.2f}",
-            f"{row.mean_corrosion_damage:.4f}",
-            f"{names.shown_factor * row.peak_reaction:.1f}",
-            f"{row.strength_ratio:.3f}",
-            f"{row.strain_at_peak:.4f}",
-            row.status,
-        )
-    console = Console(width=None if sys.stdout.isatty() else 120)
-    console.print(table)
 
 
 if __name__ == "__main__":

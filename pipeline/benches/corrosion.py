@@ -48,23 +48,27 @@ def _multiply_add(values, rounds):
                 a[k] = a[k] * 0.999 + ((b[k] * 0.998 + c[k]) * 0.997 + d[k]) * 0.996
 
 
-def peak_multiply_adds() -> float:
+def peak_multiply_adds(rounds: int = 40_000) -> float:
     """Multiply-adds per second that both threads reach on cached rows (double precision)."""
     values = np.ones((2, 4, 1024))
-    rounds = 40_000
     seconds = _median_time(lambda: _multiply_add(values, rounds), 5)
     return 3.0 * values.shape[0] * values.shape[2] * rounds / seconds
 
 
-def stencil() -> list:
-    """Bond sums of the direct stencil and of the FFT on 128 x 128 x 128 nodes."""
-    peak = peak_multiply_adds()
+def stencil(
+    edge: int = 128, ratios: tuple[int, ...] = (2, 3, 4, 6, 8), rounds: int = 40_000
+) -> list:
+    """Bond sums of the direct stencil and of the FFT on edge^3 nodes, horizons of m spacings.
+
+    rounds: of the measurement of what the processor reaches at best.
+    """
+    peak = peak_multiply_adds(rounds)
     results = [Result("measured peak multiply-adds", peak, "1/s")]
-    shape = (128, 128, 128)
+    shape = (edge,) * 3
     lattice = Lattice((0.0,) * 3, (1.0,) * 3, shape)
     values = np.random.default_rng(1).random(shape)
     crossover = None
-    for m in (2, 3, 4, 6, 8):
+    for m in ratios:
         kernel = diffusion_stencil(lattice, float(m))
         times = {}
         for method in ("direct", "fft"):
@@ -87,16 +91,34 @@ def stencil() -> list:
         if crossover is None and times["fft"] < times["direct"]:
             crossover = m
     results.append(
-        Result("smallest measured m where the FFT is faster (0: none up to 8)", crossover or 0, "1")
+        Result(
+            f"smallest measured m where the FFT is faster (0: none up to {ratios[-1]})",
+            crossover or 0,
+            "1",
+        )
     )
     return results
 
 
-def implicit() -> list:
-    """CG iterations to 1e-8 and time per unknown with a metal cylinder in the liquid ball."""
+def small_stencil() -> list:
+    """The same on 32 x 32 x 32 nodes for two horizons."""
+    return stencil(32, (2, 3), 2_000)
+
+
+IMPLICIT_LATTICES = ((100e-6, 2), (100e-6, 4), (50e-6, 2), (50e-6, 4))
+
+
+def implicit(
+    lattices: tuple[tuple[float, int], ...] = IMPLICIT_LATTICES,
+    ratios: tuple[float, ...] = (1.0, 1e2, 1e4, 1e6),
+) -> list:
+    """CG iterations to 1e-8 and time per unknown with a metal cylinder in the liquid ball.
+
+    lattices: spacing (m) and horizon over it; ratios: D dt/dx^2.
+    """
     results = []
-    for spacing, m in ((100e-6, 2), (100e-6, 4), (50e-6, 2), (50e-6, 4)):
-        for ratio in (1.0, 1e2, 1e4, 1e6):
+    for spacing, m in lattices:
+        for ratio in ratios:
             found = solve(spacing, m, ratio)
             unknowns, iterations = found["unknowns"], found["iterations"]
             name = f"{unknowns} unknowns, m = {m}, D dt/dx^2 = {ratio:.0e}"
@@ -105,6 +127,11 @@ def implicit() -> list:
                 Result(f"{name}: time per unknown", 1e6 * found["seconds"] / unknowns, "us"),
             ]
     return results
+
+
+def small_implicit() -> list:
+    """The same on one coarse lattice."""
+    return implicit(((200e-6, 2),), (1.0, 1e4))
 
 
 def screw(spacing: float = 50e-6, ratios: tuple[int, ...] = (2, 4)) -> list:

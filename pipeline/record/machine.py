@@ -3,7 +3,9 @@
 import os
 import platform
 import shutil
+import stat
 import sys
+import tempfile
 from importlib import metadata
 from pathlib import Path
 
@@ -32,6 +34,36 @@ def package_versions() -> dict[str, str]:
 def processor_cores() -> int:
     """Cores that this process may use (its affinity, not what the machine holds)."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def find_place_for_compiled_code(sources: Path = Path(__file__).parent) -> None:
+    """Tell Numba (NUMBA_CACHE_DIR) a folder of this user where it would find none and give up.
+
+    Numba keeps compiled kernels beside their source (sources: a folder of such) or below the home
+    folder; where neither can be written (an installed copy, a container without home) it refuses
+    to compile.  To be called before Numba is imported; children inherit it.
+    """
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    if "NUMBA_CACHE_DIR" in os.environ:
+        return
+    if _can_write(sources / "__pycache__") or _can_write(Path(home, "numba")):
+        return
+    place = Path(tempfile.gettempdir(), f"perilife-{os.getuid()}")
+    place.mkdir(mode=0o700, exist_ok=True)
+    status = place.lstat()
+    if status.st_uid != os.getuid() or status.st_mode & 0o7777077 != stat.S_IFDIR:
+        # somebody else's: compiled code is not to be read from there
+        place = Path(tempfile.mkdtemp(prefix="perilife-"))
+    os.environ["NUMBA_CACHE_DIR"] = str(place)
+
+
+def _can_write(folder: Path) -> bool:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
 
 
 _OF_A_RANK = ("OMPI_COMM_WORLD_", "PMIX_", "PMI_", "PRTE_", "HYDI_", "OMPI_MCA_orte_")

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -76,3 +77,40 @@ def read_summary(path: Path) -> list[SummaryRow]:
             )
             for row in reader
         ]
+
+
+def print_summary(rows: list[SummaryRow]) -> None:
+    """Print the rows, all of one load, for a reader."""
+    from rich.console import Console
+    from rich.table import Table
+
+    names = LOADS[rows[0].load]
+    table = Table(title=f"Residual {names.strength}")
+    for column in (
+        "alloy",
+        "hold",
+        "immersion [d]",
+        "volume loss [%]",
+        "mean damage",
+        f"peak {names.reaction} [{names.shown_unit}]",
+        "strength ratio",
+        f"{names.strain_title.lower()} at peak",
+        "status",
+    ):
+        table.add_column(
+            column, justify="left" if column in ("alloy", "hold", "status") else "right"
+        )
+    for row in rows:
+        table.add_row(
+            row.alloy,
+            row.hold,
+            f"{row.immersion_days:g}",
+            f"{100 * row.volume_loss:.2f}",
+            f"{row.mean_corrosion_damage:.4f}",
+            f"{names.shown_factor * row.peak_reaction:.1f}",
+            f"{row.strength_ratio:.3f}",
+            f"{row.strain_at_peak:.4f}",
+            row.status,
+        )
+    console = Console(width=None if sys.stdout.isatty() else 120)
+    console.print(table)
