@@ -63,43 +63,47 @@ class WithWalls(Operator):
         lead = 3 - len(base.lattice_shape)
         kappa = np.where(liquid, conductivity, 0.0)
         self._base = operator
-        self._links: list[tuple[tuple[slice, ...], tuple[slice, ...], np.ndarray]] = []
+        self._links: list[tuple[np.ndarray, np.ndarray, np.ndarray, int]] = []
         extra = np.zeros(base.padded_shape)
+        index = np.arange(extra.size).reshape(extra.shape)
         for a, missing in enumerate(missing_along_walls(base, liquid)):
             low, high = (_side(base.lattice_shape, a, s) for s in (0, 1))
             total = kappa[low] + kappa[high]
             mean = 2.0 * kappa[low] * kappa[high] / np.where(total > 0, total, 1.0)
-            share = 0.5 * (missing[low] + missing[high]) * ((kappa[low] > 0) & (kappa[high] > 0))
-            face = (mean * share / base.stencil.spacing[a] ** 2).reshape(
-                _three(base.lattice_shape, a, lead)
-            )
-            near, far = (_padded_side(base, a + lead, s) for s in (0, 1))
-            extra[near] += face
-            extra[far] += face
-            self._links.append((near, far, face))
-        super().__init__(
-            base,
-            operator.unknown,
-            operator.diagonal() + extra * operator.unknown,
-            operator.symmetric,
-        )
+            face = (mean * 0.5 * (missing[low] + missing[high])).ravel()
+            face = face / base.stencil.spacing[a] ** 2
+            # Most faces are far from walls.
+            some = np.flatnonzero(face)
+            near, far = (index[_padded_side(base, a + lead, s)].ravel()[some] for s in (0, 1))
+            face = face[some]
+            extra.ravel()[near] += face
+            extra.ravel()[far] += face
+            self._links.append((near, far, face, a + lead))
+        diagonal = operator.diagonal() + extra * operator.unknown
+        super().__init__(base, operator.unknown, diagonal, operator.symmetric)
 
     def gain(self, u: np.ndarray, out: np.ndarray) -> np.ndarray:
         self._base.gain(u, out)
-        for near, far, face in self._links:
-            out[near] += face * u[far]
-            out[far] += face * u[near]
-        out *= self.unknown
+        values, target = u.ravel(), out.ravel()
+        on = self.unknown.ravel()
+        for near, far, face, _ in self._links:
+            # Along one axis every node is at most once the near and once the far one.
+            target[near] += face * values[far] * on[near]
+            target[far] += face * values[near] * on[far]
         return out
 
     def faces(self) -> list[np.ndarray]:
         out = self._base.faces()
-        lead = 3 - len(self.sum.lattice_shape)
-        for a, (near, far, face) in enumerate(self._links):
+        on = self.unknown.ravel()
+        for near, far, face, axis in self._links:
+            # A face's place is that of the node behind it, one further along its axis.
+            padded = np.zeros(self.sum.padded_shape)
+            padded.ravel()[near] = face * on[near] * on[far]
+            whole = out[axis].copy()
             inner = [slice(None)] * 3
-            inner[a + lead] = slice(1, -1)
-            out[a + lead] = out[a + lead].copy()
-            out[a + lead][tuple(inner)] += face * self.unknown[near] * self.unknown[far]
+            inner[axis] = slice(1, None)
+            whole[tuple(inner)] += padded[self.sum.interior]
+            out[axis] = whole
         return out
 
 
@@ -107,10 +111,6 @@ def _side(shape: tuple[int, ...], axis: int, side: int) -> tuple[slice, ...]:
     """All nodes but the last (side 0) or the first (side 1) along an axis."""
     cut = slice(0, -1) if side == 0 else slice(1, None)
     return tuple(cut if a == axis else slice(None) for a in range(len(shape)))
-
-
-def _three(shape: tuple[int, ...], axis: int, lead: int) -> tuple[int, ...]:
-    return (1,) * lead + tuple(n - (a == axis) for a, n in enumerate(shape))
 
 
 def _padded_side(bond_sum: NonlocalSum, axis: int, side: int) -> tuple[slice, ...]:
