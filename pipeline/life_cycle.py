@@ -212,9 +212,11 @@ class LifeCycle:
                 "corrode", self.folder.corrosion(alloy.name), corrosion_hash(self.scene, alloy.name)
             )
             losses = corrosion.numbers["volume_loss"]
+            unknown = [None] * len(losses)
+            rates = corrosion.numbers.get("degradation_rate", unknown)  # mm/year
             for hold in self.scene.holds:
                 reference = self._pulled((alloy.name, intact, hold))[peak]
-                for moment, loss in zip(self.scene.with_intact(), losses, strict=True):
+                for moment, loss, rate in zip(self.scene.with_intact(), losses, rates, strict=True):
                     if moment not in self.scene.immersion:
                         continue
                     test = (alloy.name, moment, hold)
@@ -232,6 +234,7 @@ class LifeCycle:
                             strain_at_peak=pulled[strain],
                             status=pulled["status"],
                             load=load,
+                            degradation_rate=rate,
                         )
                     )
         write_summary(self.folder.summary_file, rows)

@@ -18,7 +18,7 @@ class SummaryRow:
     lattice, by mass, in [0, 1]; mean_corrosion_damage: volume mean of f0 over the mesh;
     peak_reaction: largest force (N), torque or moment (N m), as `load` says; strength_ratio: that
     over the one of the same alloy, held alike, at time zero; strain_at_peak: nominal; status: how
-    the test ended.
+    the test ended; degradation_rate: (5.34) of Hermann 2024, mm/year, None at time zero.
     """
 
     alloy: str
@@ -31,6 +31,7 @@ class SummaryRow:
     strain_at_peak: float
     status: str
     load: str = "axial"
+    degradation_rate: float | None = None
 
 
 def columns(load: str) -> dict[str, str]:
@@ -43,6 +44,7 @@ def columns(load: str) -> dict[str, str]:
         "strength_ratio": "strength_ratio",
         "strain_at_peak": names.strain_at_peak,
         "status": "status",
+        "degradation_rate": "degradation_rate_mm_per_year",
     }
 
 
@@ -54,7 +56,7 @@ def write_summary(path: Path, rows: list[SummaryRow]) -> None:
     writer.writerow(named.values())
     for row in rows:
         values = [getattr(row, field) for field in named]
-        writer.writerow([f"{v:.10g}" if isinstance(v, float) else v for v in values])
+        writer.writerow([f"{v:.10g}" if isinstance(v, float) else v for v in values])  # None: ""
     write_text(path, buffer.getvalue())
 
 
@@ -69,10 +71,7 @@ def read_summary(path: Path) -> list[SummaryRow]:
             raise ValueError(f"columns of '{path}' are not {expected}")
         return [
             SummaryRow(
-                **{
-                    field: row[name] if field in ("alloy", "hold", "status") else float(row[name])
-                    for field, name in columns(load).items()
-                },
+                **{field: _cell(field, row[name]) for field, name in columns(load).items()},
                 load=load,
             )
             for row in reader
@@ -114,3 +113,9 @@ def print_summary(rows: list[SummaryRow]) -> None:
         )
     console = Console(width=None if sys.stdout.isatty() else 120)
     console.print(table)
+
+
+def _cell(field: str, text: str) -> str | float | None:
+    if field in ("alloy", "hold", "status"):
+        return text
+    return None if field == "degradation_rate" and not text else float(text)

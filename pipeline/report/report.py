@@ -220,6 +220,7 @@ def _table_row(alloy: AlloyResult, item: ImmersionResult) -> dict[str, object]:
         "rows": sum(1 for i in alloy.immersions if i.summary),
         "time": duration(item.seconds),
         "volume_loss": _or_dash(row.volume_loss, lambda v: percent(v, 1)),
+        "rate": "–" if row.degradation_rate is None else f"{row.degradation_rate:.2f} mm/year",
         "damage": _or_dash(row.mean_corrosion_damage, lambda v: f"{v:.3f}"),
         "peak": _or_dash(row.peak_reaction, item.names.shown),
         "ratio": _or_dash(row.strength_ratio, percent),

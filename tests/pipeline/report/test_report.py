@@ -477,7 +477,7 @@ def test_drawing_leaves_matplotlib_as_it_was():
     import matplotlib
 
     before = dict(matplotlib.rcParams)
-    row = SummaryRow("A", "shank", 7.0, 0.1, 0.1, 100.0, 0.5, 0.05, "completed")
+    row = SummaryRow("A", "shank", 7.0, 0.1, 0.1, 100.0, 0.5, 0.05, "completed", "axial", 0.25)
     alloy = AlloyResult("A", {}, (ImmersionResult("1w", 604800.0, summary=row),))
     svg = plots.strength_plot([alloy])
     assert dict(matplotlib.rcParams) == before

@@ -1,0 +1,22 @@
+"""The table of a run comes back from its file, degradation rates included."""
+
+import pytest
+
+from pipeline.record.summary import SummaryRow, read_summary, write_summary
+
+
+def test_rows_come_back_with_and_without_a_degradation_rate(tmp_path):
+    rows = [
+        SummaryRow("A", "shank", 0.0, 0.0, 0.0, 452.0, 1.0, 0.1, "completed"),
+        SummaryRow("A", "shank", 56.0, 0.15, 0.14, 379.0, 0.84, 0.1, "completed", "axial", 0.2184),
+    ]
+    write_summary(tmp_path / "summary.csv", rows)
+    header, first, _ = (tmp_path / "summary.csv").read_text().splitlines()
+    assert header.endswith("status,degradation_rate_mm_per_year") and first.endswith("completed,")
+    assert read_summary(tmp_path / "summary.csv") == rows
+
+
+def test_a_table_with_other_columns_is_refused(tmp_path):
+    (tmp_path / "summary.csv").write_text("alloy,weeks\nA,3\n")
+    with pytest.raises(ValueError, match="columns of"):
+        read_summary(tmp_path / "summary.csv")
