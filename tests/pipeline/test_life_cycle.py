@@ -118,9 +118,9 @@ def test_stages_run_in_order_and_fill_the_table(tmp_path, calls):
     assert (tmp_path / "summary.csv").read_text().splitlines() == [
         "alloy,hold,immersion_days,volume_loss,mean_corrosion_damage,peak_force_N,strength_ratio,"
         "elongation_at_peak,status,degradation_rate_mm_per_year",
-        "Mg-A,shank,0,0,0,400,1,0.02,completed",
-        "Mg-A,shank,7,0.05,0.1,300,0.75,0.02,completed",
-        "Mg-A,shank,56,0.15,0.8,0,0,0.02,completed",
+        "Mg-A,shank,0,0,0,400,1,0.02,completed,",
+        "Mg-A,shank,7,0.05,0.1,300,0.75,0.02,completed,",
+        "Mg-A,shank,56,0.15,0.8,0,0,0.02,completed,",
     ]
     assert read_summary(tmp_path / "summary.csv") == rows
 
