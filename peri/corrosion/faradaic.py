@@ -69,12 +69,12 @@ class Faradaic(InterfaceLaw):
 
     def continues(self, discrete, first: Stage, right: Fields) -> bool:
         """Whether no node is empty at the first stage or negative in its right side."""
-        emptied = first.extra.emptied
-        return not discrete.processes.any(right["concentration"].min() < 0 or emptied.any())
+        negative = right["concentration"].min() < 0
+        return not discrete.processes.any(negative or _any(first.extra.emptied))
 
     def admissible(self, discrete, stages: Sequence[Stage]) -> bool:
         """Whether no node is empty."""
-        return not discrete.processes.any(stages[-1].extra.emptied.any())
+        return not discrete.processes.any(_any(stages[-1].extra.emptied))
 
     def change(self, discrete, attempt: Attempt) -> float:
         """Of the loss in sum: a moving front hands its rate from node to node."""
@@ -86,6 +86,11 @@ class Faradaic(InterfaceLaw):
             expected = attempt.step / attempt.previous_step * before
             change = abs(lost - expected) / lost
         return max(change, _LATE * last.extra.late)
+
+
+def _any(emptied: np.ndarray | None) -> bool:
+    """Whether a stage emptied nodes; None where there is no metal."""
+    return emptied is not None and bool(emptied.any())
 
 
 class FaradaicExchange(Exchange):

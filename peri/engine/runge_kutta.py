@@ -47,7 +47,7 @@ class RungeKutta:
             step = step_towards(course.state.time, target, course.step)
             try:
                 stages, change = _try_step(problem, course, stepping.scheme, step)
-            except ConvergenceError as error:
+            except (BoundsError, ConvergenceError) as error:
                 if step < _SHORTEST * target:
                     raise
                 log.info("step of %.3g s rejected: %s", step, error)

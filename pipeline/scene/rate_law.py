@@ -1,16 +1,26 @@
 """How a scene names the law of the dissolution rate: one word, and numbers where it takes some."""
 
+from __future__ import annotations
+
+import dataclasses
+
+from peri.corrosion.kinetics import KINETICS as LAWS
 from perilife_data import did_you_mean
 
-KINETICS = {
-    "volume_loss": ("length?",),
-    "constant": (),
-    "tafel": ("overpotential", "slope"),
-    "butler_volmer": (
-        "overpotential", "charge_number?", "anodic_transfer?", "cathodic_transfer?", "temperature?"
-    ),
-}  # fmt: skip
-"""Laws of the rate and their numbers, SI, `?` where one may be left out; as in peri.corrosion."""
+OF_THE_SET = {("volume_loss", "length")}
+"""Numbers of laws that the alloy's parameter set gives unless a scene does."""
+
+
+def numbers_of(name: str) -> tuple[str, ...]:
+    """The numbers of a law of peri.corrosion.kinetics, SI, `?` where one may be left out."""
+    return tuple(
+        f.name + "?" * (f.default is not dataclasses.MISSING or (name, f.name) in OF_THE_SET)
+        for f in dataclasses.fields(LAWS[name])
+    )
+
+
+KINETICS = {name: numbers_of(name) for name in sorted(LAWS, key=lambda name: name != "volume_loss")}
+"""Laws of the rate and their numbers; the default first."""
 
 
 def kinetics_in_words() -> str:

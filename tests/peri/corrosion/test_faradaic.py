@@ -7,7 +7,7 @@ from scipy.integrate import trapezoid
 from peri.corrosion.kinetics import ConstantRate, VolumeLossLaw
 from peri.corrosion.run import corrode
 from peri.corrosion.scene import CorrosionScene
-from peri.engine.lattice import Lattice
+from peri.engine.lattice import Lattice, box_lattice
 from peri.engine.marching import TimeStepping
 from peri.omissions.planning import LIQUID, plan_omissions
 from peri.omissions.well_stirred import well_stirred
@@ -186,3 +186,15 @@ def test_refusals_and_what_is_not_left_out():
         corrode(slow, [10 * LAYER])
     liquid = next(o for o in plan_omissions(flat_front(2), 1.0) if o.name == LIQUID)
     assert not liquid.applied and liquid.bound == np.inf
+
+
+@pytest.mark.parametrize("scheme", ["sdirk2", "backward_euler"])
+def test_a_scene_without_metal_stands_still(scheme):
+    spacing = 1e-4
+    lattice = box_lattice((0.0,), (1e-3,), spacing)
+    none = np.zeros(lattice.shape, bool)
+    scene = CorrosionScene(
+        lattice, 2 * spacing, none, dissolution_flux=1.0, dissolution="faradaic", **STEEL
+    )
+    result = corrode(scene, [1.0, 1e6], TimeStepping(scheme))
+    assert not result.concentration.any() and result.volume_loss.tolist() == [0.0, 0.0]
