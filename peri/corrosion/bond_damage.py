@@ -29,37 +29,19 @@ import numpy as np
 from numba import njit, prange
 from scipy.ndimage import distance_transform_edt
 
+from peri.engine import hashing
+from peri.engine.hashing import term
 from peri.engine.influence import Stencil
 from peri.engine.lattice import Lattice, family
 from peri.engine.operators import NonlocalSum, signed_bonds
 
 _MOST_NODES = 2**32
-_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
-_FIRST = np.uint64(0xBF58476D1CE4E5B9)
-_SECOND = np.uint64(0x94D049BB133111EB)
-_S27, _S30, _S31, _S11 = (np.uint64(n) for n in (27, 30, 31, 11))
-_ONE = np.uint64(1)
-_UNIT = 2.0**-53
-
-
-@njit(inline="always")
-def _mixed(x):  # numba: uint64 -> uint64
-    x = (x ^ (x >> _S30)) * _FIRST
-    x = (x ^ (x >> _S27)) * _SECOND
-    return x ^ (x >> _S31)
-
-
-@njit(inline="always")
-def _uniform(stream, low, high, nodes):  # numba: uint64s -> [0, 1)
-    pair = low * nodes + high
-    return np.float64(_mixed(stream + (pair + _ONE) * _GOLDEN) >> _S11) * _UNIT
 
 
 def hashed_uniform(seed: int, one: np.ndarray, other: np.ndarray, nodes: int) -> np.ndarray:
     """The number in [0, 1) of each pair of nodes; the same for both orders of the pair.
 
-    The pair's number lo * nodes + hi counts along the splitmix64 sequence (Steele, Lea and Flood
-    2014) that starts at the mixed seed.
+    The pair's number lo * nodes + hi is the counter of engine.hashing.
 
     Parameters
     ----------
@@ -77,24 +59,13 @@ def hashed_uniform(seed: int, one: np.ndarray, other: np.ndarray, nodes: int) ->
     """
     _check(seed, nodes)
     a, b = np.asarray(one, np.uint64), np.asarray(other, np.uint64)
-    low, high = np.minimum(a, b), np.maximum(a, b)
     with np.errstate(over="ignore"):
-        stream = _start(seed)
-        counted = stream + (low * np.uint64(nodes) + high + _ONE) * _GOLDEN
-        first = (counted ^ (counted >> _S30)) * _FIRST
-        second = (first ^ (first >> _S27)) * _SECOND
-        mixed = second ^ (second >> _S31)
-    return (mixed >> _S11).astype(float) * _UNIT
-
-
-def _start(seed: int) -> np.uint64:
-    """Start of the sequence: the mixed seed, so that near seeds are far apart in it."""
-    return np.uint64(_mixed(np.uint64(seed)))
+        pair = np.minimum(a, b) * np.uint64(nodes) + np.maximum(a, b)
+    return hashing.uniform(seed, pair)
 
 
 def _check(seed: int, nodes: int) -> None:
-    if not 0 <= int(seed) < 2**64:
-        raise ValueError(f"seed: {seed}; it must be from 0 to 2^64 - 1")
+    hashing.stream(seed)
     if not 1 <= nodes <= _MOST_NODES:
         raise ValueError(f"lattice: {nodes} nodes; pairs are numbered for 1 to 2^32 nodes")
 
@@ -210,7 +181,7 @@ class BondDamage:
         corner, whole = self._place()
         keep = self._boxed(1.0 - corroded)
         broken = _count_broken(
-            keep, self._boxed(self.solid), self.offsets, corner, whole, _start(self.seed)
+            keep, self._boxed(self.solid), self.offsets, corner, whole, hashing.stream(self.seed)
         ).reshape(self.solid.shape)
         return np.where(self.bonds > 0, broken / np.maximum(self.bonds, 1), 0.0)
 
@@ -258,7 +229,7 @@ class BondDamage:
             self.offsets[len(self.offsets) // 2 :],
             corner,
             whole,
-            _start(self.seed),
+            hashing.stream(self.seed),
         )[alive.ravel()]
         kinds, of_node, sizes = np.unique(roots, return_inverse=True, return_counts=True)
         rank = np.empty(kinds.size, np.int64)
@@ -369,7 +340,7 @@ def _count_broken(keep, solid, offsets, corner, whole, stream):  # numba
                     continue
                 low = np.uint64(start + k + min(step, 0))
                 high = np.uint64(start + k + max(step, 0))
-                if stands <= 0.0 or _uniform(stream, low, high, nodes) >= stands:
+                if stands <= 0.0 or term(stream, low * nodes + high) >= stands:
                     out[i, j, k] += 1
     return out
 
@@ -407,7 +378,7 @@ def _join(keep, alive, ahead, corner, whole, stream):  # numba
                     step = (ahead[o, 0] * whole[1] + ahead[o, 1]) * whole[2] + ahead[o, 2]
                     low, high = np.uint64(start + k), np.uint64(start + k + step)
                     stands = keep[i, j, k] * keep[a, b, c]
-                    if _uniform(stream, low, high, nodes) < stands:
+                    if term(stream, low * nodes + high) < stands:
                         parent[max(one, other)] = min(one, other)
     for node in range(parent.size):
         parent[node] = _root(parent, node)
