@@ -4,6 +4,7 @@ Asked before the first stage, so that no run ends hours later for want of someth
 """
 
 import math
+import re
 import subprocess
 import sys
 from collections.abc import Iterable
@@ -21,9 +22,13 @@ from pipeline.stages.sizes import CELLS_PER_FEATURE, typed
 PROBE_SECONDS = 120.0
 
 _PROBE = """
+import os
 from mpi4py import MPI
 from fem.compat import check_version
-print("probed", MPI.COMM_WORLD.size, check_version(), flush=True)
+version = check_version()
+MPI.COMM_WORLD.Barrier()
+if MPI.COMM_WORLD.rank == 0:
+    os.write(1, f"probed {MPI.COMM_WORLD.size} {version} \\n".encode())
 """
 
 
@@ -159,8 +164,7 @@ def try_tools(ranks: int = 1) -> Check:
         return Check(what, "no answer", f"{text}; dolfinx and MPI must work for a tensile test")
     finally:
         children.end(child)
-    # ranks may write into each other's lines
-    answers = [piece.split() for piece in printed.split("probed")[1:]]
+    answers = re.findall(r"probed (\d+) (\S+)", printed)
     if child.returncode != 0 or not answers:
         said = [line.strip() for line in told.splitlines() if "Error" in line]
         reason = said[-1] if said else children.how_it_ended(child.returncode)
