@@ -257,6 +257,11 @@ def liquid_exposure(
     return out.reshape(fraction.shape)
 
 
+def default_finest(lattice: Lattice, horizon: float) -> float:
+    """Size of the finest parts where none is given, in horizons; see rate_classes."""
+    return max(0.5 * max(lattice.spacing) / horizon, 1.0 / 16.0)
+
+
 # --- sampling ---------------------------------------------------------------------------------
 
 
@@ -301,7 +306,7 @@ def sample_metal(
     cells = np.flatnonzero(fraction)
     spacing = np.array(lattice.spacing)
     if finest is None:
-        finest = max(0.5 * float(spacing.max()) / horizon, 1.0 / 16.0)
+        finest = default_finest(lattice, horizon)
     centre = np.array(lattice.origin) + spacing * np.stack(
         np.unravel_index(cells, lattice.shape), axis=1
     )

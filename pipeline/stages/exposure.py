@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from peri.corrosion.rate_classes import CellExposure, RateClasses, cell_exposure
+from peri.corrosion.rate_classes import CellExposure, RateClasses, cell_exposure, default_finest
 from peri.engine.checkpoints import fingerprint
 from peri.engine.lattice import Lattice
 from peri.engine.surface import Surface
@@ -45,6 +45,7 @@ def solid_exposure(
     mark = fingerprint(
         surface.vertices, surface.facets, lattice.origin, lattice.spacing, lattice.shape,
         float(horizon), fraction, classes, float(kernel_exponent), influence,
+        default_finest(lattice, horizon),
     )  # fmt: skip
     kept = None if folder is None else folder / f"exposure-{mark[:16]}.npz"
     if kept is not None and kept.exists():
