@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from peri.engine import compiled as compilation
 from peri.engine import kernels
 from peri.engine.influence import diffusion_stencil
 from peri.engine.lattice import Lattice
@@ -188,9 +189,9 @@ def test_threaded_sum_is_the_serial_sum(monkeypatch):
     shape = (20, 21, 22)
     bond_sum = NonlocalSum(stencil_of("3D, reach 2"), shape)
     field = bond_sum.pad(RNG.normal(size=shape))
-    monkeypatch.setattr(kernels, "_THREADED_FROM", 10**9)
+    monkeypatch.setattr(compilation, "_THREADED_FROM", 10**9)
     serial = bond_sum(field)
-    monkeypatch.setattr(kernels, "_THREADED_FROM", 0)
+    monkeypatch.setattr(compilation, "_THREADED_FROM", 0)
     threaded = bond_sum(field)
     assert np.abs(serial).max() > 1
     # every node is computed by one thread in one order

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from peri.engine import kernels
+from peri.engine import compiled as compilation
 from peri.engine.operators import Convolution, ConvolutionSum, NonlocalSum, signed_bonds
 from peri.schemes import bond_kernels
 from peri.schemes.bonds import (
@@ -266,7 +266,7 @@ def test_rules_of_bonds_do_not_forget_broken_ones():
 
 @pytest.mark.parametrize("threaded", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_compiled_sums_are_the_plain_python_sums(monkeypatch, threaded):
-    monkeypatch.setattr(kernels, "_THREADED_FROM", 0 if threaded else 10**9)
+    monkeypatch.setattr(compilation, "_THREADED_FROM", 0 if threaded else 10**9)
     rng = np.random.default_rng(6)
     shape = (3, 5, 6)
     bond_sum = NonlocalSum(stencil_of("3D"), shape)
