@@ -35,7 +35,7 @@ def test_a_run_that_is_killed_at_random_leaves_nothing_behind_and_resumes_to_the
     out = tmp_path / "run-0"
     while sum(kills.values()) < KILLS:
         run = _Run(out, ranks)
-        end = time.monotonic() + dice.uniform(0.2, 0.7) * whole
+        end = time.monotonic() + dice.uniform(0.05, 0.7) * whole
         while time.monotonic() < end and run.process.poll() is None:
             time.sleep(0.01)
         if run.process.poll() is None:
