@@ -3,8 +3,11 @@
 import numpy as np
 import pytest
 
+from peri.corrosion import CorrosionScene, corrode
 from peri.corrosion.acidity import AcidityLaw
 from peri.corrosion.kinetics import Exposed
+from peri.engine.lattice import Lattice
+from peri.engine.marching import TimeStepping
 
 LAW = AcidityLaw(5600.0, reference_current=2.0)
 
@@ -34,13 +37,46 @@ def test_slope_is_the_derivative():
     assert 2.5 * 96485.33212 * 5e-6 / LAW.slope(5600.0) == pytest.approx(142, abs=1)
 
 
-@pytest.mark.parametrize("seen", [-1.0, 5601.0, np.nan])
-def test_refuses_what_is_beyond_its_range(seen):
-    with pytest.raises(ValueError, match="the law holds from 0 to the saturation_concentration"):
-        LAW.rate(Exposed(concentration=np.array([1.0, seen])))
+def test_beyond_saturation_the_rate_is_that_at_it():
+    seen = np.array([-1.0, 5601.0])
+    np.testing.assert_array_equal(
+        LAW.rate(Exposed(concentration=seen)), LAW.current(np.array([0.0, 5600.0])) / 2.0
+    )
+    with pytest.raises(ValueError, match="concentration: it must be finite"):
+        LAW.rate(Exposed(concentration=np.array([1.0, np.nan])))
 
 
 @pytest.mark.parametrize("name", ["saturation_concentration", "reference_current", "factor"])
 def test_refuses_numbers_out_of_range(name):
     with pytest.raises(ValueError, match=name):
         AcidityLaw(**{"saturation_concentration": 1.0, name: 0.0})
+
+
+def test_a_front_marches_by_the_concentration_up_to_saturation():
+    """A flat front of 150 um in a closed column, with the printed current and 300 times of it."""
+    lattice = Lattice((0.0,), (5e-6,), (60,))
+    law = AcidityLaw(5600.0, reference_current=3.2422)
+    flux = 3.2422 / (2.5 * 96485.33212)
+    for factor, hours in ((1.0, (1, 10)), (300.0, (1, 100))):
+        scene = CorrosionScene(
+            lattice,
+            15e-6,
+            np.arange(60) < 30,
+            solid_concentration=1.4e5,
+            saturation_concentration=5600.0,
+            liquid_diffusivity=7.2e-10,
+            dissolution_flux=factor * flux,
+            dissolution="faradaic",
+            boundary="no_flux",
+            kinetics=law,
+        )
+        done = corrode(scene, [h * 3600.0 for h in hours], TimeStepping(rate_change=0.1))
+        # In clean liquid i(0) t / (zF C_solid): 8.921e-4 A/m^2 for an hour, a share of 150 um.
+        clean = factor * 8.921e-4 / (2.5 * 96485.33212 * 1.4e5) * 3600.0 / 150e-6
+        faster = done.volume_loss[0] / clean
+        assert 1.0 - 1e-4 < faster < (1.001 if factor == 1.0 else 1.02)
+        assert np.abs(done.history["balance_error"]).max() < 1e-12
+        liquid = [c[~m].max() for c, m in zip(done.concentration, done.metal, strict=True)]
+        assert max(liquid) <= 5600.0 * (1 + 1e-8)  # 4e-10 above measured
+    # The column is full: 150 um of C_sat over 1.4e5, a share of 0.04.
+    assert done.volume_loss[-1] == pytest.approx(0.04, rel=1e-6)
