@@ -58,77 +58,146 @@ class Increment:
 
 
 class ParaviewSeries:
-    """Observer that writes `name`_0001.vtu ... and `name`.pvd; its time is the strain in per cent.
+    """Observer that writes `name`_0000.vtu ... and `name`.pvd; its time is the strain in per cent.
 
-    Points: displacement [m]. Cells still in place (means over their quadrature points): equivalent
-    and mean Kirchhoff stress [Pa] (Cauchy's times det F), accumulated plastic strain, f, number of
-    the cell in the input. Ten-node cells are shown by their corners. Every `every`-th increment.
+    The intact state, the one with the largest reaction, the last one, and every `every`-th
+    increment between. Points: displacement_m. Cells still in place (means over their quadrature
+    points): cauchy_stress_Pa (xx, yy, zz, xy, yz, xz), mises_kirchhoff_Pa and
+    mean_stress_kirchhoff_Pa (Kirchhoff's is Cauchy's times det F), plastic_strain,
+    damage_variable, number of the cell in the input. Ten-node cells are shown by their corners.
     """
 
     def __init__(self, folder: str | Path, every: int = 1, name: str = "tensile") -> None:
         if every < 1:
             raise ValueError(f"every is {every}; a series takes each, each second, ... increment")
         self.folder, self.every, self.name = Path(folder), every, name
-        self._entries: list[str] = []
+        self._entries: dict[int, str] = {}
+        self._largest = -np.inf
+        self._peak: _Picture | None = None
+        self._last: _Picture | None = None
+
+    def begin(self, increment: Increment) -> None:
+        """Write the state before the first increment; collective."""
+        self(increment)
 
     def __call__(self, increment: Increment) -> None:
-        """Write one file of the series; collective."""
-        if increment.number % self.every:
+        """Take one state, and write it if it is due; collective."""
+        picture = self._take(increment)
+        if picture is None:
             return
+        self._last = picture
+        if increment.reaction > self._largest:
+            self._largest, self._peak = increment.reaction, picture
+        if increment.number % self.every == 0:
+            self._write(picture)
+
+    def finish(self) -> None:
+        """Write the state at the peak and the last one, where that has not been done."""
+        for picture in (self._peak, self._last):
+            if picture is not None and picture.number not in self._entries:
+                self._write(picture)
+
+    def _take(self, increment: Increment) -> _Picture | None:
+        """The state on rank 0, None on the others; collective."""
         test = increment.test
         d, state = test.discretisation, increment.fields
         shown = d.owned & test.assembler.alive
+        displacement = increment.march.displacement
         values = {
-            "mises_kirchhoff": state.mises, "mean_stress_kirchhoff": state.pressure,
-            "plastic_strain": state.strain, "damage_variable": state.damage,
-        }  # fmt: skip
-        mean = {name: array[shown].mean(axis=1) for name, array in values.items()}
-        parts = test.comm.gather((d.original_cells[shown], mean))
+            "cauchy_stress_Pa": cauchy_stress(d, state, displacement, shown),
+            "mises_kirchhoff_Pa": state.mises[shown].mean(axis=1),
+            "mean_stress_kirchhoff_Pa": state.pressure[shown].mean(axis=1),
+            "plastic_strain": state.strain[shown].mean(axis=1),
+            "damage_variable": state.damage[shown].mean(axis=1),
+        }
+        parts = test.comm.gather((d.original_cells[shown], values))
         vertex = d.mesh.input_vertices[: d.owned_nodes]
-        moved = test.comm.gather(
-            (vertex[vertex >= 0], increment.march.displacement[: d.owned_nodes][vertex >= 0])
-        )
+        moved = test.comm.gather((vertex[vertex >= 0], displacement[: d.owned_nodes][vertex >= 0]))
         if test.comm.rank != 0:
-            return
+            return None
         numbers = test.prepared.kept[np.concatenate([cells for cells, _ in parts])]
         order = np.argsort(numbers)
-        displacement = np.zeros_like(test.prepared.points)
+        everywhere = np.zeros_like(test.prepared.points)
         for vertices, rows in moved:
-            displacement[test.vertices[vertices]] = rows
+            everywhere[test.vertices[vertices]] = rows
         cell_data = {
             name: np.concatenate([part[name] for _, part in parts])[order] for name in values
         }
-        self._write(increment, numbers[order], displacement, cell_data)
+        return _Picture(
+            increment.number, increment.march.strain, test.prepared, numbers[order], everywhere,
+            cell_data,
+        )  # fmt: skip
 
-    def _write(self, increment, numbers, displacement, cell_data) -> None:
+    def _write(self, picture: _Picture) -> None:
         import pyvista
 
-        prepared = increment.test.prepared
-        used, cells = np.unique(prepared.cells[numbers], return_inverse=True)
+        prepared = picture.prepared
+        used, cells = np.unique(prepared.cells[picture.numbers], return_inverse=True)
         cells = cells.reshape(-1, 4)
         kinds = np.full(len(cells), pyvista.CellType.TETRA)
         grid = pyvista.UnstructuredGrid(
             np.c_[np.full(len(cells), 4), cells], kinds, prepared.points[used]
         )
-        grid.point_data["displacement"] = displacement[used]
-        for name, array in cell_data.items():
+        grid.point_data["displacement_m"] = picture.displacement[used]
+        for name, array in picture.cell_data.items():
             grid.cell_data[name] = array
-        grid.cell_data["cell"] = numbers
+        grid.cell_data["cell"] = picture.numbers
         self.folder.mkdir(parents=True, exist_ok=True)
-        name = f"{self.name}_{increment.number:04d}.vtu"
+        name = f"{self.name}_{picture.number:04d}.vtu"
         temporary = self.folder / f".{self.name}.part.vtu"
         grid.save(temporary)
         os.replace(temporary, self.folder / name)
-        self._entries.append(
-            f'<DataSet timestep="{100 * increment.march.strain:.9g}" file="{name}"/>'
+        self._entries[picture.number] = (
+            f'<DataSet timestep="{100 * picture.strain:.9g}" file="{name}"/>'
         )
         text = "\n".join(
             ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1">', "<Collection>"]
-            + [*self._entries, "</Collection>", "</VTKFile>", ""]
+            + [self._entries[number] for number in sorted(self._entries)]
+            + ["</Collection>", "</VTKFile>", ""]
         )
         temporary = self.folder / f".{self.name}.part.pvd"
         temporary.write_text(text, encoding="utf-8")
         os.replace(temporary, self.folder / f"{self.name}.pvd")
+
+
+@dataclass(frozen=True)
+class _Picture:
+    """One state of a test as a series shows it (rank 0)."""
+
+    number: int
+    strain: float
+    prepared: Any
+    numbers: np.ndarray  # (n,) shown cells, rising
+    displacement: np.ndarray  # of all vertices of the input [m]
+    cell_data: dict[str, np.ndarray]
+
+
+def cauchy_stress(
+    discretisation: Any, state: Fields, displacement: np.ndarray, shown: np.ndarray
+) -> np.ndarray:
+    """Cauchy stress (n, 6) [Pa] of the shown cells: xx, yy, zz, xy, yz, xz; means over points.
+
+    From the equivalent and the mean Kirchhoff stress of the state; the deviator has the direction
+    of that of ln b_e, b_e = F Cp^-1 F^T, since elasticity is isotropic.
+    """
+    d = discretisation
+    if not shown.any():
+        return np.zeros((0, 6))
+    moved = displacement[d.cells[shown]]
+    gradient = np.eye(3) + np.einsum("cai,cqaj->cqij", moved, d.gradients[shown])
+    plastic = state.plastic[shown][..., [0, 3, 4, 3, 1, 5, 4, 5, 2]]
+    plastic = plastic.reshape(*plastic.shape[:-1], 3, 3)
+    elastic = gradient @ plastic @ np.swapaxes(gradient, -1, -2)
+    squares, axes = np.linalg.eigh(elastic)
+    stretch = np.log(squares)
+    stretch -= stretch.mean(axis=-1, keepdims=True)
+    length = np.linalg.norm(stretch, axis=-1, keepdims=True)
+    direction = np.divide(stretch, length, out=np.zeros_like(stretch), where=length > 0.0)
+    principal = np.sqrt(2.0 / 3.0) * state.mises[shown][..., None] * direction
+    principal += state.pressure[shown][..., None]
+    principal /= np.linalg.det(gradient)[..., None]
+    stress = np.einsum("cqik,cqk,cqjk->cqij", axes, principal, axes).mean(axis=1)
+    return stress[:, [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
 
 
 class Checkpoint:

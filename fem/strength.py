@@ -110,7 +110,8 @@ def tensile_test(
     points of `fem.quadrature.quadrature_points`, or (nc,) or a scalar. Read on rank 0 only.
     material: of the whole solid, or several with material_of_cell: (nc,) their numbers from 0 on,
     read on rank 0.
-    observers: called after each accepted increment; resume: a checkpoint (see `fem.results`).
+    observers: called after each accepted increment, and by `begin` and `finish`, where they have
+    these, before the first and after the last; resume: a checkpoint (see `fem.results`).
 
     Raises ValueError for input outside its range. Results do not depend on the number of ranks
     beyond the solver tolerance (tests/fem/test_parallel.py).
@@ -223,6 +224,9 @@ class _Test:
         """March to the end of the test."""
         s, status = self.settings, "completed"
         march = self._start() if resume is None else restore(self, resume)
+        if resume is None:
+            for observer in observers:
+                getattr(observer, "begin", lambda increment: None)(Increment(self, march))
         parted = resume is not None and self._parted()
         while not parted and march.strain < s.maximum_strain * (1 - 1e-12):
             march.size = min(march.size, s.maximum_strain - march.strain)
@@ -246,6 +250,8 @@ class _Test:
         if parted:
             status, march.halvings = "past_peak", 0
             march.rows.append(self._row(march, Equilibrium(True, 0, 0.0, 0.0, 0.0)))
+        for observer in observers:
+            getattr(observer, "finish", lambda: None)()
         result = self._result(march, status)
         self.linear.destroy()
         return result

@@ -40,7 +40,7 @@ def test_a_pull_leaves_its_curve_and_its_paraview_series(job, tmp_path):
     found = read_result(tmp_path)
     assert found["status"] == "completed" and found["peak_force"] > 50
     series = (tmp_path / "tensile.pvd").read_text()
-    assert series.count("<DataSet") == found["increments"] // tensile_stage.SERIES_EVERY > 0
+    assert series.count("<DataSet") >= 1 + found["increments"] // tensile_stage.SERIES_EVERY
     assert all(name in series for name in (p.name for p in tmp_path.glob("tensile_*.vtu")))
     assert not (tmp_path / CHECKPOINT_FILE).exists()
 
