@@ -210,7 +210,9 @@ def rate_classes(
     finest : float, optional
         Largest size of the parts that the surface cuts, in horizons; default: half the spacing,
         but no less than a sixteenth.  For a ball of two horizons that has lost 8 and 29 % it errs
-        by 0.08 and 0.30 % at 1/4, 0.02 and 0.08 % at 1/8, 0.01 and 0.02 % at 1/16.
+        by 0.08 and 0.30 % at 1/4, 0.02 and 0.08 % at 1/8, 0.01 and 0.02 % at 1/16.  Walls want
+        parts no thicker than the wall: the mean exposure of a plate of a tenth of the horizon
+        errs by 6.2 % at 1/4, 0.2 % at 1/16.
 
     Raises
     ------

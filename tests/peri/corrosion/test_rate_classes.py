@@ -144,14 +144,17 @@ def test_what_the_metal_sees_is_what_the_liquid_sees():
     assert 1e-3 < gaps[1] < 0.4 * gaps[0] < 0.03
 
 
+# A plate of a fifth of a cell. Measured: 6.2 % with the default parts of half a spacing, each 2.5
+# times as wide as the plate is thick, 0.2 % with parts thinner than the plate.
+@pytest.mark.parametrize(("finest", "error"), [(None, 0.07), (1 / 16, 0.01)])
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_plate_thinner_than_a_cell(axis):
+def test_plate_thinner_than_a_cell(axis, finest, error):
     low, high = np.zeros(3), np.full(3, 4.0)
     low[axis], high[axis] = 0.1, 0.2
     surface = box(low, high)
     lattice = around(surface, 0.5)
     share = share_of_box(lattice, low, high)
-    classes = rate_classes(lattice, surface, 1.0, share, classes=5)
+    classes = rate_classes(lattice, surface, 1.0, share, classes=5, finest=finest)
     assert classes.volume.sum() * lattice.cell_volume == pytest.approx(surface.volume)
     # In the middle of the plate both faces are seen, less the metal between the cones.
     middle = np.flatnonzero(share.ravel() == share.max())
@@ -159,7 +162,7 @@ def test_plate_thinner_than_a_cell(axis):
     mean = np.average(classes.exposure[inner], weights=classes.volume[inner])
     z = (np.arange(1000) + 0.5) / 10000
     flat = flat_profile(z, 1.0, 0.0, "constant") + flat_profile(0.1 - z, 1.0, 0.0, "constant")
-    assert mean == pytest.approx(flat.mean(), rel=0.05)
+    assert mean == pytest.approx(flat.mean(), rel=error)
 
 
 def test_slivers_and_horizon_of_one_spacing():
