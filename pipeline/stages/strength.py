@@ -275,6 +275,8 @@ def run_jobs(
                     advanced(item.key, _read_fraction(Path(item.job.out)))
                     continue
                 running.remove(item)
+                # at once: a run that is killed later keeps this test and would keep the file
+                (Path(item.job.out) / PROGRESS_FILE).unlink(missing_ok=True)
                 if code == 0:
                     finished(item.key, time.monotonic() - item.started)
                 else:
