@@ -49,7 +49,8 @@ def test_a_row_is_all_that_the_command_line_needs(passivation, monkeypatch):
 def test_names_and_choices_are_read_without_the_compiled_solvers():
     """numba takes a second to import, which no `--help` should wait for."""
     code = (
-        "import sys, peri.corrosion.kinetics, peri.corrosion.laws, pipeline.scene.options\n"
+        "import sys, peri.corrosion.kinetics, peri.corrosion.laws, peri.corrosion.choices\n"
+        "import peri.engine.omission, peri.omissions.names, pipeline.scene.options\n"
         "print([m for m in ('numba', 'scipy', 'h5py') if m in sys.modules])"
     )
     done = subprocess.run(

@@ -46,7 +46,7 @@ BELOW = {
         "transport": {"engine"},
         "corrosion": {"engine", "parallel"},
         "coupled": {"engine", "transport", "corrosion"},
-        "omissions": {"engine", "corrosion"},
+        "omissions": {"engine", "corrosion", "coupled"},
     },
     "pipeline": {
         "scene": set(),

@@ -10,13 +10,13 @@ import importlib
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar
 
+from peri.corrosion.choices import SATURATION_MODELS
+
 if TYPE_CHECKING:
     import numpy as np
 
     from peri.corrosion.solids import Solid
     from peri.engine.problem import Attempt, Fields, Stage
-
-SATURATION_MODELS = ("complementarity", "as_published", "none")
 
 INTERFACE_LAWS = {
     "proportional": "peri.corrosion.proportional.Proportional",

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from peri.corrosion.choices import BOUNDARIES, FLUX_CALIBRATIONS, SATURATION_MODELS
 from peri.corrosion.kinetics import QUANTITIES, ConstantRate, Kinetics
-from peri.corrosion.laws import SATURATION_MODELS, InterfaceLaw, interface_law
+from peri.corrosion.laws import InterfaceLaw, interface_law
 from peri.corrosion.solids import Solid
 from peri.engine.cells import hand_over
 from peri.engine.influence import Stencil, closed_strength, diffusion_stencil
@@ -18,9 +19,6 @@ from peri.engine.lattice import Lattice
 
 if TYPE_CHECKING:
     from peri.corrosion.rate_classes import CellExposure
-
-BOUNDARIES = ("refreshed", "no_flux")
-FLUX_CALIBRATIONS = ("isotropic", "axis")
 
 
 @dataclass(frozen=True)

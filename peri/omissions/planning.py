@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,21 +22,14 @@ from peri.corrosion.kinetics import Exposed
 from peri.corrosion.run import CorrosionResult, corrode
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.marching import TimeStepping
+from peri.engine.omission import DEFAULT_TOLERANCE, Omission, check_request
 from peri.engine.solvers import ConvergenceError, DiffusionSystem
 from peri.omissions.bounds import arrival_bound, front_depth, least_loss, metal_at_risk
+from peri.omissions.names import COARSE_LIQUID, FAR_LIQUID, LIQUID, OMITTABLE, SOLID_CORE
 from peri.omissions.reduced import ReducedCorrosion, factor_of
 from peri.omissions.well_stirred import well_stirred
 
 log = logging.getLogger(__name__)
-
-LIQUID = "liquid"
-SOLID_CORE = "solid_core"
-FAR_LIQUID = "far_liquid"
-COARSE_LIQUID = "coarse_liquid"
-OMISSIONS = (LIQUID, FAR_LIQUID)
-"""What may be refused; the metal's core has no unknowns in any march, coarse liquid is none yet."""
-
-DEFAULT_TOLERANCE = 1e-3
 
 Discrete = BiMaterial | Cells
 
@@ -44,22 +37,6 @@ Discrete = BiMaterial | Cells
 def _discrete(scene: CorrosionScene) -> Discrete:
     """The scene's discrete equations: by nodes, or by rate classes where it has them."""
     return BiMaterial(scene) if scene.exposure is None else Cells(scene)
-
-
-@dataclass(frozen=True)
-class Omission:
-    """One thing that a scene could leave out.
-
-    name : how to refuse it, where OMISSIONS has it.  reason : one sentence.  bound : of the
-    relative error of V_L (infinite where it cannot be left out), or of what `of` says.  applied :
-    whether the plan leaves it out.
-    """
-
-    name: str
-    reason: str
-    bound: float
-    applied: bool
-    of: str = "the volume loss"
 
 
 def liquid_bound(scene: CorrosionScene, problem: Discrete | None = None) -> np.ndarray:
@@ -137,11 +114,7 @@ def _plan(
     refused: Collection[str],
 ) -> tuple[list[Omission], np.ndarray]:
     """The omissions, and the domain without the liquid that they leave out."""
-    if not 0 <= tolerance < 1:
-        raise ValueError(f"tolerance: {tolerance}; it must be from 0 to below 1")
-    unknown = set(refused) - set(OMISSIONS)
-    if unknown:
-        raise ValueError(f"refused: {sorted(unknown)}; known: {', '.join(OMISSIONS)}")
+    check_request(tolerance, refused, OMITTABLE)
     distance = distance_transform_edt(~scene.metal, sampling=scene.lattice.spacing)
     far, domain = _far_liquid(scene, problem, distance, end_time, tolerance, refused)
     liquid = _liquid(scene, problem, end_time, tolerance, refused)

@@ -134,7 +134,8 @@ def screw_march(
     """
     from peri.corrosion.run import corrode
     from peri.engine.marching import TimeStepping
-    from peri.omissions.planning import LIQUID, SOLID_CORE, corrode_lean, plan_omissions
+    from peri.omissions.names import LIQUID, SOLID_CORE
+    from peri.omissions.planning import corrode_lean, plan_omissions
     from peri.omissions.well_stirred import clean_march
 
     scene = published_screw(alloy, m, spacing)

@@ -19,7 +19,9 @@ from numpy.typing import NDArray
 
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.marching import TimeStepping
-from peri.omissions.planning import LIQUID, Omission, corrode_lean, plan_omissions
+from peri.engine.omission import Omission
+from peri.omissions.names import LIQUID
+from peri.omissions.planning import corrode_lean, plan_omissions
 from peri.omissions.reduced import ReducedCorrosion, factor_of
 from pipeline.geometry.surface import Solid
 from pipeline.record.machine import child_environment, processor_cores

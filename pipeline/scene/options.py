@@ -4,6 +4,7 @@ import argparse
 import dataclasses
 from pathlib import Path
 
+from peri.engine.omission import DEFAULT_TOLERANCE
 from pipeline.scene.holding import ALL as HOLDS
 from pipeline.scene.ions import (
     ACTIVITIES,
@@ -103,7 +104,8 @@ def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -
         "--tolerance",
         type=float,
         metavar="X",
-        help="of V_L, within which the march leaves out what it does not need (0.001)",
+        help="of V_L, within which the march leaves out what it does not need "
+        f"({DEFAULT_TOLERANCE:g})",
     )
     corrosion.add_argument(
         "--keep",

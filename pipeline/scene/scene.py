@@ -12,8 +12,12 @@ import types
 import typing
 from dataclasses import dataclass, field
 
+from peri.corrosion.choices import BOUNDARIES
+from peri.corrosion.choices import SATURATION_MODELS as SATURATIONS
 from peri.corrosion.laws import INTERFACE_LAWS
+from peri.engine.omission import DEFAULT_TOLERANCE
 from peri.engine.stepping import SCHEMES as TIME_SCHEMES
+from peri.omissions.names import OMITTABLE
 from perilife_data import did_you_mean
 from perilife_data.limits import LARGEST_YIELD_STRAIN
 from pipeline.scene.checks import SceneError, at_most, check, one_of, positive
@@ -29,12 +33,7 @@ LONGEST_IMMERSION = 100 * YEAR
 """Seconds; longer than a person carries an implant is a slip in a unit."""
 
 DOMAIN_SHAPES = ("cylinder", "ball")
-BOUNDARIES = ("refreshed", "no_flux")
-SATURATIONS = ("complementarity", "as_published", "none")
 DISSOLUTION_LAWS = tuple(INTERFACE_LAWS)
-OMITTABLE = ("liquid", "far_liquid")
-"""What a march can be kept from leaving out; as in peri.omissions.planning, slow to import."""
-
 CALIBRATIONS = ("discrete", "closed")
 
 
@@ -122,7 +121,7 @@ class CorrosionSettings:
     influence: str = "constant"
     kernel_exponent: float = 0.0
     classes: int = 0
-    tolerance: float = 1e-3
+    tolerance: float = DEFAULT_TOLERANCE
     keep: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

@@ -22,7 +22,8 @@ from peri.engine.checkpoints import CheckpointError
 from peri.engine.influence import diffusion_stencil
 from peri.engine.lattice import Lattice, ball, box_lattice, cylinder
 from peri.engine.marching import TimeStepping
-from peri.omissions.planning import Omission, corrode_lean, plan_omissions
+from peri.engine.omission import Omission
+from peri.omissions.planning import corrode_lean, plan_omissions
 from pipeline.geometry.surface import Solid
 from pipeline.geometry.voxels import metal_fraction
 from pipeline.scene.resolve import rate_law

@@ -9,10 +9,12 @@ import numpy as np
 
 from fem.quadrature import ELEMENTS
 from peri.engine.influence import diffusion_stencil
+from peri.engine.omission import Omission
+from peri.omissions.names import OMITTABLE
 from pipeline.geometry.surface import Solid
 from pipeline.record import machine
 from pipeline.scene.loads import LOADS
-from pipeline.scene.scene import OMITTABLE, HoldScene, Scene, ScrewGeometry
+from pipeline.scene.scene import HoldScene, Scene, ScrewGeometry
 from pipeline.scene.units import format_bytes, format_length, format_seconds
 from pipeline.stages.corrosion import domain_lattice, liquid_domain, march_omissions
 from pipeline.stages.sizes import check_screw, check_sizes
@@ -38,8 +40,8 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Omission:
-    """Something that is not computed, why, and a bound of the error of leaving it out."""
+class LeftOut:
+    """Something that is not computed, why, and the error of leaving it out, all in words."""
 
     what: str
     reason: str
@@ -51,7 +53,7 @@ class Plan:
     """Tasks in their order, omissions, and the totals."""
 
     tasks: tuple[Task, ...]
-    omissions: tuple[Omission, ...]
+    omissions: tuple[LeftOut, ...]
     nodes: int
     unknowns: int
     seconds: float
@@ -285,32 +287,34 @@ def _mesh_counts(scene: Scene, solid: Solid, hold: HoldScene) -> tuple[int, int,
     return cells, 3 * round(points), cells * element.points
 
 
-def _march_omissions(scene: Scene, solid: Solid) -> list[Omission]:
-    found = []
-    for alloy, omission in march_omissions(scene, solid):
-        if omission.applied:
-            measure = "V_L" if omission.of == "the volume loss" else omission.of
-            text = f"at most {100 * omission.bound:.2g} % of {measure}"
-        elif np.isfinite(omission.bound):
-            text = f"kept; leaving it out would cost up to {100 * omission.bound:.2g} % of V_L"
-        else:
-            text = "kept"
-        name = omission.name
-        if name not in OMITTABLE:
-            name = f"{name.replace('_', ' ')} (not offered to --keep)"
-        found.append(Omission(f"{alloy}: {name}", omission.reason, text))
-    return found
+def _march_omissions(scene: Scene, solid: Solid) -> list[LeftOut]:
+    return [_in_words(alloy, omission) for alloy, omission in march_omissions(scene, solid)]
 
 
-def scene_omissions(scene: Scene) -> list[Omission]:
+def _in_words(alloy: str, omission: Omission) -> LeftOut:
+    """An omission of a march, by the name that --keep takes where it is offered."""
+    if omission.applied:
+        measure = "V_L" if omission.of == "the volume loss" else omission.of
+        error = f"at most {100 * omission.bound:.2g} % of {measure}"
+    elif np.isfinite(omission.bound):
+        error = f"kept; leaving it out would cost up to {100 * omission.bound:.2g} % of V_L"
+    else:
+        error = "kept"
+    name = omission.name
+    if name not in OMITTABLE:
+        name = f"{name.replace('_', ' ')} (not offered to --keep)"
+    return LeftOut(f"{alloy}: {name}", omission.reason, error)
+
+
+def scene_omissions(scene: Scene) -> list[LeftOut]:
     """What the model and the scene leave out; it follows from the settings alone."""
     found = [
-        Omission(
+        LeftOut(
             "diffusion within the metal",
             "D_sol is 0 in the bi-material model (dissertation 2.3.3)",
             "part of the model",
         ),
-        Omission(
+        LeftOut(
             "liquid beyond the domain",
             "the published parameters belong to this domain; its outermost layer, one horizon "
             "wide, holds refreshed medium"
@@ -321,7 +325,7 @@ def scene_omissions(scene: Scene) -> list[Omission]:
     ]
     if scene.corrosion.kinetics != "volume_loss":
         found.append(
-            Omission(
+            LeftOut(
                 "the published kinetics",
                 f"the rate follows {scene.corrosion.kinetics} (--kinetics); published, and fitted "
                 "with the parameter set, is volume_loss with the l of that set",
@@ -330,7 +334,7 @@ def scene_omissions(scene: Scene) -> list[Omission]:
         )
     if scene.corrosion.dissolution == "faradaic":
         found.append(
-            Omission(
+            LeftOut(
                 "the published law of a bond",
                 "a bond carries the whole flux until its metal node is empty (--dissolution "
                 "faradaic); published, and fitted with the parameter set, is a flux in proportion "
@@ -339,13 +343,13 @@ def scene_omissions(scene: Scene) -> list[Omission]:
             )
         )
     if scene.immersion[0].seconds == 0 and len(scene.immersion) == 1:
-        found.append(Omission("corrosion", "only time zero is asked for", "none"))
+        found.append(LeftOut("corrosion", "only time zero is asked for", "none"))
     found += _tensile_departures(scene)
     drop = scene.tensile.peak_drop
     if drop < 1:
         names = LOADS[scene.tensile.load]
         found.append(
-            Omission(
+            LeftOut(
                 f"the end of a {names.reaction}-{names.abscissa} curve",
                 f"a test ends once the {names.reaction} is {100 * drop:g} % below its peak "
                 "(--peak-drop)",
@@ -355,11 +359,11 @@ def scene_omissions(scene: Scene) -> list[Omission]:
     return found
 
 
-def _tensile_departures(scene: Scene) -> list[Omission]:
+def _tensile_departures(scene: Scene) -> list[LeftOut]:
     """Where the tensile test does less than the source, or something else."""
     test = scene.tensile
     found = [
-        Omission(
+        LeftOut(
             "the full moduli of corroded metal",
             "the moduli fall with f as the strength does, by 1 - q1 f; the source keeps them",
             "an assumption (fem/README.md)",
@@ -368,7 +372,7 @@ def _tensile_departures(scene: Scene) -> list[Omission]:
     names = LOADS[test.load]
     of_what = "elongation" if test.load == "axial" else "angle times radius"
     found.append(
-        Omission(
+        LeftOut(
             f"{names.test} beyond a nominal strain of {100 * test.final_strain:g} %",
             f"{of_what} over the length between the grips; further with --final-strain",
             f"a {names.reaction} that still rises then counts as the peak",
@@ -376,7 +380,7 @@ def _tensile_departures(scene: Scene) -> list[Omission]:
     )
     if test.load != "axial" and ELEMENTS[test.element].order == 1:
         found.append(
-            Omission(
+            LeftOut(
                 "shear within a cell",
                 f"slender four-node cells ({test.element}) lock in shear, ten-node ones do not",
                 f"the {names.reaction} is too large: of a plastic bar in torsion by 59 % "
@@ -387,7 +391,7 @@ def _tensile_departures(scene: Scene) -> list[Omission]:
         bottom, top = hold.tensile.bottom_grip, hold.tensile.top_grip
         if bottom > 0 or top > 0:
             found.append(
-                Omission(
+                LeftOut(
                     f"the metal within the grips ({hold.name})",
                     f"the outer {format_length(bottom)} and {format_length(top)} are held and not "
                     "strained; other ways of holding: --hold"
@@ -398,7 +402,7 @@ def _tensile_departures(scene: Scene) -> list[Omission]:
     if test.damage != "implicit":
         each = "cell" if test.damage == "cell" else "quadrature point"
         found.append(
-            Omission(
+            LeftOut(
                 "growth of f within an increment",
                 f"f is one per {each} and grows between increments (within: --damage implicit)",
                 "part of the error of the increment (perilife study tensile)",

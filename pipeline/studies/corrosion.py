@@ -23,7 +23,8 @@ from peri.corrosion.run import corrode
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.lattice import Lattice, box_lattice
 from peri.engine.marching import TimeStepping
-from peri.omissions.planning import LIQUID, corrode_lean, plan_omissions
+from peri.omissions.names import LIQUID
+from peri.omissions.planning import corrode_lean, plan_omissions
 from peri.omissions.well_stirred import well_stirred
 from pipeline.geometry.surface import Solid
 from pipeline.scene.resolve import resolve_scene

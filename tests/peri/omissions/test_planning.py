@@ -11,15 +11,8 @@ from peri.corrosion.scene import CorrosionScene
 from peri.engine.lattice import ball, box_lattice
 from peri.engine.marching import TimeStepping
 from peri.omissions.bounds import arrival_bound, front_depth, least_loss, metal_at_risk
-from peri.omissions.planning import (
-    COARSE_LIQUID,
-    FAR_LIQUID,
-    LIQUID,
-    OMISSIONS,
-    SOLID_CORE,
-    corrode_lean,
-    plan_omissions,
-)
+from peri.omissions.names import COARSE_LIQUID, FAR_LIQUID, LIQUID, OMITTABLE, SOLID_CORE
+from peri.omissions.planning import corrode_lean, plan_omissions
 from peri.omissions.well_stirred import clean_march
 from tests.peri.corrosion.scenes import WEEK, pin
 
@@ -89,7 +82,7 @@ def test_far_liquid_stays_within_its_bound(tolerance, dissolution):
     count = int(coarse.reason.split("; ")[1].split(" nodes")[0])
     assert corner.sum() <= count < 1.1 * corner.sum() and not coarse.applied
     everything, omissions = corrode_lean(
-        scene, [end], stepping, tolerance=tolerance, refused=OMISSIONS
+        scene, [end], stepping, tolerance=tolerance, refused=OMITTABLE
     )
     np.testing.assert_array_equal(everything.concentration, full.concentration)
     assert not named(omissions, FAR_LIQUID).applied

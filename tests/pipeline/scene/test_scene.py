@@ -21,8 +21,6 @@ from pipeline.scene.options import add_scene_options, scene_from_options
 from pipeline.scene.rate_law import KINETICS
 from pipeline.scene.resolve import resolve_scene
 from pipeline.scene.scene import (
-    DISSOLUTION_LAWS,
-    OMITTABLE,
     AlloyScene,
     CorrosionParameters,
     CorrosionSettings,
@@ -265,18 +263,11 @@ def test_time_zero_is_added_in_front_for_the_strength_ratio(scene):
     assert started.with_intact() == started.immersion
 
 
-def test_the_names_of_what_a_march_may_leave_out_are_those_of_peri():
-    from peri.corrosion import kinetics, laws
-    from peri.omissions import planning
-
-    assert OMITTABLE == planning.OMISSIONS
-    assert set(KINETICS) == set(kinetics.KINETICS)
+def test_laws_of_the_rate_take_the_numbers_of_peri():
     # written down once more, so that a law's numbers do not change by accident
     assert KINETICS["volume_loss"] == ("length?",) and KINETICS["constant"] == ()
     assert KINETICS["tafel"] == ("overpotential", "slope")
     assert KINETICS["butler_volmer"][:2] == ("overpotential", "charge_number?")
-    assert DISSOLUTION_LAWS == tuple(laws.INTERFACE_LAWS)
-    assert CorrosionSettings().tolerance == planning.DEFAULT_TOLERANCE
 
 
 def test_the_ways_in_which_f_grows_are_those_of_fem():
