@@ -6,44 +6,36 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
-import h5py
 import numpy as np
 
 from peri.corrosion.problem import COLUMNS
+from peri.corrosion.run import CorrosionResult
+from peri.engine.results import Field, axes_of, read_result, write_result
 
 SCHEMA_VERSION = 1
 
 _UNITS = {"time": "s", "step": "s", **COLUMNS, "iterations": "1"}
 
 
-def write_corrosion(path: Path, result) -> None:
+def write_corrosion(path: Path, result: CorrosionResult) -> None:
     """Write a CorrosionResult as HDF5 (dimensions and units as attributes)."""
-    lattice = result.scene.lattice
-    temporary = Path(path).with_name(Path(path).name + ".tmp")
-    with h5py.File(temporary, "w") as file:
-        file.attrs["schema_version"] = SCHEMA_VERSION
-        for name in ("origin", "spacing", "shape"):
-            file[f"lattice/{name}"] = np.array(getattr(lattice, name))
-        for name in ("origin", "spacing"):
-            file[f"lattice/{name}"].attrs["unit"] = "m"
-        compress = {"compression": "lzf"}
-        file.create_dataset("metal", data=result.scene.metal, **compress)
-        file.create_dataset("domain", data=result.scene.domain, **compress)
-        file.create_dataset("capacity", data=result.scene.capacity(), **compress)
-        file["times"] = result.times
-        file["times"].attrs["unit"] = "s"
-        data = file.create_dataset("concentration", data=result.concentration, **compress)
-        data.attrs["unit"] = "mol/m3"
-        data.attrs["dimensions"] = "time, " + ", ".join("xyz"[: lattice.dimension])
-        file.create_dataset("remaining_metal", data=result.metal, **compress)
-        file["volume_loss"] = result.volume_loss
-        file.attrs["solid_concentration"] = result.scene.solid_concentration
-        file.attrs["saturation_concentration"] = result.scene.saturation_concentration
-        file.attrs["wall_time"] = result.wall_time
-        for name, values in result.history.items():
-            file[f"history/{name}"] = values
-            file[f"history/{name}"].attrs["unit"] = _UNITS[name]
-    os.replace(temporary, path)
+    scene = result.scene
+    fields = {
+        "metal": Field(scene.metal),
+        "domain": Field(scene.domain),
+        "capacity": Field(scene.capacity()),
+        "times": Field(result.times, "s"),
+        "concentration": Field(result.concentration, "mol/m3", ("time", *axes_of(scene.lattice))),
+        "remaining_metal": Field(result.metal),
+        "volume_loss": Field(result.volume_loss),
+    }
+    history = {name: Field(values, _UNITS[name]) for name, values in result.history.items()}
+    attributes = {
+        "solid_concentration": scene.solid_concentration,
+        "saturation_concentration": scene.saturation_concentration,
+        "wall_time": result.wall_time,
+    }
+    write_result(path, scene.lattice, fields, history, attributes, SCHEMA_VERSION)
 
 
 def read_corrosion(path: Path) -> dict[str, np.ndarray]:
@@ -54,17 +46,8 @@ def read_corrosion(path: Path) -> dict[str, np.ndarray]:
     ValueError
         If the file has another schema version.
     """
-    out: dict[str, np.ndarray] = {}
-    with h5py.File(path, "r") as file:
-        if file.attrs.get("schema_version") != SCHEMA_VERSION:
-            raise ValueError(f"{path}: not a corrosion result of schema {SCHEMA_VERSION}")
-        file.visititems(
-            lambda name, item: (
-                out.__setitem__(name, item[()]) if isinstance(item, h5py.Dataset) else None
-            )
-        )
-        out.update(file.attrs)
-    return out
+    fields, attributes = read_result(path, "corrosion", SCHEMA_VERSION)
+    return {name: field.values for name, field in fields.items()} | attributes
 
 
 def write_history(
@@ -83,7 +66,7 @@ def write_history(
     os.replace(temporary, path)
 
 
-def write_image_series(folder: Path, result) -> Path:
+def write_image_series(folder: Path, result: CorrosionResult) -> Path:
     """Write one VTK image (.vti) per output time and the ParaView series file corrosion.pvd.
 
     Each holds the nodes' concentration (mol/m^3), corrosion damage 1 - C/C_solid on the initial

@@ -7,7 +7,6 @@ import types
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
@@ -19,6 +18,7 @@ from peri.coupled.degradation import Degradation
 from peri.engine.marching import TimeStepping, march
 from peri.engine.omission import Omission
 from peri.engine.problem import State
+from peri.engine.results import Field, axes_of, write_result
 from peri.omissions.ions import ion_omissions
 from peri.omissions.names import LIQUID
 from peri.omissions.planning import corrode_lean
@@ -198,23 +198,17 @@ def write_ions(
     minerals: list[str],
 ) -> None:
     """Write the liquid's fields at the output times as HDF5, with units and dimensions."""
-    temporary = path.with_name(path.name + ".tmp")
-    axes = ", ".join("xyz"[: scene.lattice.dimension])
-    with h5py.File(temporary, "w") as file:
-        file.attrs["schema_version"] = SCHEMA_VERSION
-        for name in ("origin", "spacing", "shape"):
-            file[f"lattice/{name}"] = np.array(getattr(scene.lattice, name))
-        file["times"] = times
-        file["times"].attrs["unit"] = "s"
-        file["species_names"] = [n.encode() for n in names]
-        file["mineral_names"] = [n.encode() for n in minerals] or np.empty(0, "S1")
-        for name, unit in _FIELDS.items():
-            values = np.array([output[name] for output in outputs])
-            data = file.create_dataset(name, data=values, compression="lzf")
-            data.attrs["unit"] = unit
-            inner = {"species": "species, ", "minerals": "mineral, "}.get(name, "")
-            data.attrs["dimensions"] = f"time, {inner}{axes}"
-    os.replace(temporary, path)
+    inner = {"species": ("species",), "minerals": ("mineral",)}
+    fields = {
+        "times": Field(times, "s"),
+        "species_names": Field(np.array(names, "S")),
+        "mineral_names": Field(np.array(minerals, "S") if minerals else np.empty(0, "S1")),
+    }
+    for name, unit in _FIELDS.items():
+        values = np.array([output[name] for output in outputs])
+        axes = ("time", *inner.get(name, ()), *axes_of(scene.lattice))
+        fields[name] = Field(values, unit, axes)
+    write_result(path, scene.lattice, fields, {}, {}, SCHEMA_VERSION)
 
 
 def write_ion_images(

@@ -46,6 +46,47 @@ def test_what_is_written_is_read_back(result, tmp_path):
         assert file["times"].attrs["unit"] == "s"
 
 
+def test_the_file_is_that_of_schema_1(result, tmp_path):
+    """Every dataset with its type, shape, compression and attributes: other programs read them."""
+    path = tmp_path / "corrosion.h5"
+    write_corrosion(path, result)
+    found = {}
+
+    def take(name, item):
+        if isinstance(item, h5py.Dataset):
+            found[name] = (str(item.dtype), item.shape, item.compression, dict(item.attrs))
+
+    with h5py.File(path) as file:
+        file.visititems(take)
+        numbers = {name: value.dtype for name, value in file.attrs.items()}
+    metres, seconds, amount, one = ({"unit": unit} for unit in ("m", "s", "mol", "1"))
+    field = {"unit": "mol/m3", "dimensions": "time, x, y"}
+    assert found == {
+        "lattice/origin": ("float64", (2,), None, metres),
+        "lattice/spacing": ("float64", (2,), None, metres),
+        "lattice/shape": ("int64", (2,), None, {}),
+        "metal": ("bool", (12, 12), "lzf", {}),
+        "domain": ("bool", (12, 12), "lzf", {}),
+        "capacity": ("float64", (12, 12), "lzf", {}),
+        "times": ("float64", (2,), None, seconds),
+        "concentration": ("float64", (2, 12, 12), "lzf", field),
+        "remaining_metal": ("bool", (2, 12, 12), "lzf", {}),
+        "volume_loss": ("float64", (2,), None, {}),
+        "history/time": ("float64", (3,), None, seconds),
+        "history/step": ("float64", (3,), None, seconds),
+        "history/volume_loss": ("float64", (3,), None, one),
+        "history/metal_amount": ("float64", (3,), None, amount),
+        "history/liquid_amount": ("float64", (3,), None, amount),
+        "history/released_amount": ("float64", (3,), None, amount),
+        "history/balance_error": ("float64", (3,), None, one),
+        "history/saturated_nodes": ("int64", (3,), None, one),
+        "history/dissolved_nodes": ("float64", (3,), None, one),
+        "history/iterations": ("int64", (3,), None, one),
+    }
+    real = dict.fromkeys(["solid_concentration", "saturation_concentration", "wall_time"], "f8")
+    assert numbers == {"schema_version": "i8", **real}
+
+
 def test_another_schema_is_refused(result, tmp_path):
     path = tmp_path / "corrosion.h5"
     write_corrosion(path, result)
