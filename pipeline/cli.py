@@ -32,7 +32,7 @@ STUDIES = {
     "saturation": "what the time step does to the two saturation models (5 min)",
     "boundaries": "what no-flux walls and held layers do to diffusion near them (seconds)",
     "tensile": "error of peak force and strength left against processor time, presets (20 min)",
-    "published": "the published tensile outcome beside what pulled end faces give (20 min)",
+    "published": "the published tensile outcome beside what pulled end faces give",
     "life-cycle": "where the error of the strength left comes from, and what less of it costs",
 }
 

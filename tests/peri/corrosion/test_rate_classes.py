@@ -130,24 +130,34 @@ def test_ball_in_clean_liquid(ratio, bound):
         assert 0.01 < error < 0.1  # what the classes cure
 
 
-def test_what_the_metal_sees_is_what_the_liquid_sees():
+# Largest gap of the coarse and the fine parts. Measured: 5, 1.1 and 0.4 % with parts of 1/4,
+# 1/8 and 1/16; the edges of a cube of two horizons are the worst case.
+@pytest.mark.parametrize(
+    ("sizes", "most"),
+    [
+        ((0.25, 0.125), (0.075, 0.02)),
+        pytest.param((0.125, 0.0625), (0.02, 0.01), marks=pytest.mark.slow),
+    ],
+)
+def test_what_the_metal_sees_is_what_the_liquid_sees(sizes, most):
     surface = box([0.1, 0.2, 0.3], [2.3, 2.0, 2.6])
     lattice = around(surface, 0.5)
     share = share_of_box(lattice, surface.vertices.min(axis=0), surface.vertices.max(axis=0))
     gaps = []
-    for finest in (0.25, 0.125):
+    for finest in sizes:
         metal = rate_classes(lattice, surface, 1.0, share, finest=finest)
         liquid = liquid_exposure(lattice, surface, 1.0, share, finest=finest)
         assert np.all(liquid >= 0) and not liquid[share == 1].any()
         seen = ((1 - share) * liquid).sum()
         gaps.append(abs((metal.volume * metal.exposure).sum() / seen - 1))
-    # Measured: 5 and 1.1 %; the edges of a cube of two horizons are the worst case.
-    assert 1e-3 < gaps[1] < 0.4 * gaps[0] < 0.03
+    assert 1e-5 < gaps[1] < 0.5 * gaps[0]
+    assert gaps[0] < most[0] and gaps[1] < most[1]
 
 
 # A plate of a fifth of a cell. Measured: 6.2 % with the default parts of half a spacing, each 2.5
-# times as wide as the plate is thick, 0.2 % with parts thinner than the plate.
-@pytest.mark.parametrize(("finest", "error"), [(None, 0.07), (1 / 16, 0.01)])
+# times as wide as the plate is thick (no accuracy to rely on), 5.0 % with parts of a quarter of the
+# spacing, 0.2 % with parts thinner than the plate.
+@pytest.mark.parametrize(("finest", "error"), [(None, 0.07), (1 / 8, 0.05), (1 / 16, 0.01)])
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_plate_thinner_than_a_cell(axis, finest, error):
     low, high = np.zeros(3), np.full(3, 4.0)
