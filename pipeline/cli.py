@@ -17,6 +17,7 @@ from pathlib import Path
 from perilife_data import did_you_mean
 from pipeline.calibration.command import add_calibrate_options
 from pipeline.campaigns.options import add_campaign_options, add_design_options
+from pipeline.export.command import add_export_options
 from pipeline.record import interruption
 from pipeline.record.machine import find_place_for_compiled_code
 from pipeline.record.summary import print_summary
@@ -88,6 +89,8 @@ def build_parser() -> argparse.ArgumentParser:
         if name == "pull":
             _add_machine_options(stage)
     _add_folder_options(add("report", _report, "summary.csv and report.html of a run folder"))
+    export = add("export", _export, "a corroded solid of a run folder for another program")
+    add_export_options(export)
     plan = add("plan", _plan, "what a run would compute, what not and why, time and memory")
     add_scene_options(plan)
     _add_machine_options(plan)
@@ -308,6 +311,13 @@ def _stages(options: argparse.Namespace, action: Callable, stage: str = "") -> i
             check_stage(folder, scene, stage, ranks, workers)
         cycle = LifeCycle(scene, folder, ranks=ranks, workers=workers, progress=progress)
         action(cycle, alloys, tests)
+    return 0
+
+
+def _export(options: argparse.Namespace) -> int:
+    from pipeline.export.command import run_export
+
+    run_export(options, print)
     return 0
 
 

@@ -56,6 +56,7 @@ BELOW = {
         "report": {"scene", "geometry", "record", "stages"},
         "studies": {"scene", "geometry", "record", "stages"},
         "calibration": {"scene", "geometry", "record", "stages"},
+        "export": {"scene", "geometry", "record", "stages"},
         "life_cycle": {"scene", "geometry", "record", "stages", "report"},
         "campaigns": {"scene", "geometry", "record", "stages", "calibration", "life_cycle"},
         "benches": {
@@ -67,6 +68,7 @@ BELOW = {
             "calibration",
             "life_cycle",
             "campaigns",
+            "export",
         },
         "cli": {
             "scene",
@@ -77,6 +79,7 @@ BELOW = {
             "life_cycle",
             "campaigns",
             "benches",
+            "export",
         },
     },
 }

@@ -14,6 +14,7 @@ from perilife_data import did_you_mean
 from pipeline.benches import calibration as bench_calibration
 from pipeline.benches import corrosion as bench_corrosion
 from pipeline.benches import cut_cells as bench_cut_cells
+from pipeline.benches import friendliness as bench_friendliness
 from pipeline.benches import ions as bench_ions
 from pipeline.benches import localised as bench_localised
 from pipeline.benches import operators as bench_operators
@@ -206,6 +207,11 @@ BENCHMARKS: dict[str, Benchmark] = {
         "ions, pH and minerals around metal: seconds per step, eight weeks (10 minutes)",
         bench_ions.nnpp,
         bench_ions.small_nnpp,
+    ),
+    "friendliness": Benchmark(
+        "what a newcomer meets: times, memory, and other programs' answers (10 minutes)",
+        bench_friendliness.friendliness,
+        bench_friendliness.small_friendliness,
     ),
     "scaling": Benchmark(
         "cost and memory from 1e4 to 1e7 nodes, threads 1 and 2, ranks 1, 2 and 4",
