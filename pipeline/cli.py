@@ -240,6 +240,10 @@ def _run(options: argparse.Namespace) -> int:
             shared["tolerance"] = options.strength_tolerance
             rows = run_with_bands(scene, folder.path, options.samples, **shared)
     print_summary(rows)
+    if options.samples is not None:
+        from pipeline.record.bands import BANDS_FILE, print_bands, read_bands
+
+        print_bands(read_bands(folder.path / BANDS_FILE))
     print(f"\ntable:  {folder.summary_file}")
     if folder.report_file.exists():
         print(f"report: {folder.report_file}")

@@ -17,8 +17,8 @@ from pipeline.calibration.models import Implant, ReducedModel, constants, march
 from pipeline.calibration.posterior import posterior
 from pipeline.calibration.writing import write_calibration
 from pipeline.campaigns.bands import run_with_bands
-from pipeline.campaigns.strength import CURVE_FOLDER
 from pipeline.record.bands import BANDS_FILE, LEVELS, read_bands
+from pipeline.record.run_folder import RunFolder
 from pipeline.scene.resolve import resolve_scene
 from pipeline.scene.scene import DomainSettings, Scene, ScrewGeometry
 from pipeline.scene.screw import ScrewParameters
@@ -100,7 +100,8 @@ def _whole(scene: Scene) -> list[Result]:
         run_with_bands(fitted, Path(place, "run"), 200)
         banded = time.perf_counter() - begun
         rows = read_bands(Path(place, "run", BANDS_FILE))
-        tests = len(list(Path(place, "run", "Mg-5Gd", CURVE_FOLDER).iterdir()))
+        record = RunFolder(Path(place, "run")).read_record(Path(place, "run"), "bands")
+        tests = record.numbers["Mg-5Gd"]["tests"]["shank"]
     bands = []
     for row in rows:
         weeks = f"after {row.immersion_days / 7:g} weeks"

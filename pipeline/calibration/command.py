@@ -6,6 +6,8 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
+from pipeline.scene.ions import MODELS
+
 JSON_FILE = "calibration.json"
 
 
@@ -38,6 +40,11 @@ def run_calibrate(options: argparse.Namespace, say: Callable[[str], None]) -> No
 
     if len(options.alloy) != 1:
         raise ValueError(f"--alloy is {' '.join(options.alloy)}; a fit is of one alloy")
+    if options.model != MODELS[0]:
+        raise ValueError(
+            f"--model is '{options.model}'; it must be {MODELS[0]} in a fit, since the ions do not "
+            "act back on the volume loss"
+        )
     fix = _fixed(options.fix)
     wanted = parse_time(options.wanted, "wanted time").seconds
     files = dict(text.partition("=")[::2] for text in options.volume_loss)

@@ -13,6 +13,7 @@ from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from multiprocessing import get_context
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,13 @@ from pipeline.geometry.surface import Solid
 from pipeline.record.machine import child_environment, processor_cores
 from pipeline.scene.resolve import rate_law
 from pipeline.scene.scene import CorrosionParameters, Scene, scene_from_json
-from pipeline.stages.corrosion import corrosion_scene, domain_lattice, liquid_domain, metal_of
+from pipeline.stages.corrosion import (
+    corrosion_scene,
+    domain_lattice,
+    exposure_of,
+    liquid_domain,
+    metal_of,
+)
 from pipeline.stages.geometry import build_solid
 
 Array = NDArray[np.float64]
@@ -90,18 +97,25 @@ def constants(scene: Scene, alloy: str) -> dict[str, float]:
 
 
 class Implant:
-    """A solid on the lattice of a scene: what all constants of an alloy share."""
+    """A solid on the lattice of a scene: what all constants of an alloy share.
 
-    def __init__(self, scene: Scene, solid: Solid | None = None):
+    folder: where the surface's part of rate classes is kept between runs.
+    """
+
+    def __init__(self, scene: Scene, solid: Solid | None = None, folder: Path | None = None):
         self.solid = solid or build_solid(scene)
         self.domain = liquid_domain(scene, self.solid.points)
         self.lattice, self.inside = domain_lattice(scene, self.domain)
         self.metal, self.fraction = metal_of(scene, self.lattice, self.solid)
+        self.exposure = exposure_of(
+            scene, self.lattice, self.domain, self.solid, self.fraction, folder
+        )
 
     def corrosion(self, scene: Scene, alloy: str) -> CorrosionScene:
-        """The peridynamic scene of one alloy."""
-        lattice, metal = self.lattice, self.metal
-        return corrosion_scene(scene, alloy, lattice, self.inside, metal, self.fraction)
+        """The peridynamic scene of one alloy, with rate classes where the scene has them."""
+        return corrosion_scene(
+            scene, alloy, self.lattice, self.inside, self.metal, self.fraction, self.exposure
+        )
 
 
 def liquid_omission(scene: Scene, alloy: str, implant: Implant, end: float) -> Omission:
@@ -205,10 +219,11 @@ _IMPLANTS: dict[str, Implant] = {}
 def march(content: dict, alloy: str, times: list[float]) -> list[float]:
     """V_L of a scene (its JSON) at times (s): the work of one process of a fit."""
     scene = scene_from_json(content)
-    key = repr((content["geometry"], content["lattice"], content["domain"]))
+    settings = scene.corrosion
+    classes = (settings.classes, settings.kernel_exponent, settings.influence)
+    key = repr((content["geometry"], content["lattice"], content["domain"], classes))
     if key not in _IMPLANTS:
         _IMPLANTS[key] = Implant(scene)
-    settings = scene.corrosion
     stepping = TimeStepping(settings.scheme, settings.step, _MARCH_CONTROL)
     positive = [time for time in times if time > 0]
     if not positive:

@@ -25,13 +25,17 @@ from pipeline.life_cycle import LifeCycle
 from pipeline.record.bands import BANDS_FILE, BandRow, write_bands
 from pipeline.record.progress import Progress
 from pipeline.record.run_folder import StageRecord
-from pipeline.record.stage_hashes import corrosion_hash, pull_hash
+from pipeline.record.stage_hashes import pull_hash
 from pipeline.record.summary import SummaryRow
 from pipeline.scene.scene import Scene, SceneError, content_hash
+from pipeline.stages.corrosion import degradation_rate
 from pipeline.stages.geometry import read_surface
 
 Array = NDArray[np.float64]
 
+
+REVISION = 2
+"""Of what bands.csv holds: raised with every change of it."""
 
 BEYOND = 0.025
 """Share of the samples that may go beyond the bound of clean liquid: half of a band's tail."""
@@ -93,16 +97,17 @@ class BandedLifeCycle(LifeCycle):
 
     def bands(self) -> StageRecord:
         """bands.csv of all alloys."""
-        times, hold = self.scene.with_intact(), self.scene.holds[0]
+        last = self.scene.with_intact()[-1]
         parts = [
-            [corrosion_hash(self.scene, a.name), pull_hash(self.scene, a.name, times[-1], hold)]
+            [pull_hash(self.scene, a.name, last, hold) for hold in self.scene.holds]
             for a in self.scene.alloys
         ]
         sampled = [[s.names, s.values.tolist()] for s in self.samples.values()]
-        inputs = content_hash("bands", 1, parts, sampled, self.tolerance)
+        inputs = content_hash("bands", REVISION, parts, sampled, self.tolerance)
 
         def work() -> tuple[list[Path], dict[str, object]]:
-            implant = Implant(self.scene, read_surface(self.folder.geometry))
+            place = self.folder.geometry
+            implant = Implant(self.scene, read_surface(place), place)
             rows, numbers = [], {}
             for alloy in self.scene.alloys:
                 found, tests = self._bands_of(alloy.name, implant)
@@ -114,10 +119,10 @@ class BandedLifeCycle(LifeCycle):
 
         return self._do("bands", "bands", self.folder.path, inputs, work)
 
-    def _bands_of(self, alloy: str, implant: Implant) -> tuple[list[BandRow], int]:
+    def _bands_of(self, alloy: str, implant: Implant) -> tuple[list[BandRow], dict[str, int]]:
+        """Rows of one alloy, and how many tests each way of holding took."""
         samples, times = self.samples[alloy], self.scene.with_intact()
-        end = max(moment.seconds for moment in times)
-        losses = self._losses(alloy, implant, samples, end)
+        losses = self._losses(alloy, implant, samples, max(m.seconds for m in times))
         tests = CurveTests(
             self.scene,
             alloy,
@@ -125,24 +130,30 @@ class BandedLifeCycle(LifeCycle):
             self.folder.path / alloy / CURVE_FOLDER,
             geometry=self.folder.geometry,
             ranks=self.ranks,
+            workers=self.workers,
             progress=self.progress,
         )
-        curve = curve_to(tests, float(losses.max()), self.tolerance, self.progress.note)
-        ratios = curve(losses) / curve.strengths[0]
-        bands = zip(times, band(losses).T, band(ratios).T, strict=True)
-        rows = [
-            BandRow(
-                alloy,
-                moment.days,
-                tuple(map(float, loss)),
-                tuple(map(float, ratio)),
-                len(samples.values),
-                curve.error(),
-            )
-            for moment, loss, ratio in bands
-            if moment in self.scene.immersion
-        ]
-        return rows, len(curve.losses)
+        rates = degradation_rate(losses, [m.seconds for m in times], implant.solid)
+        rows, counts = [], {}
+        for hold in self.scene.holds:
+            most = float(losses.max())
+            curve = curve_to(tests, hold.name, most, self.tolerance, self.progress.note)
+            counts[hold.name] = len(curve.losses)
+            ratios = curve(losses) / curve.strengths[0]
+            bands = zip(times, *(band(v).T for v in (losses, rates, ratios)), strict=True)
+            rows += [
+                BandRow(
+                    alloy,
+                    hold.name,
+                    moment.days,
+                    *(tuple(map(float, values)) for values in found),
+                    len(samples.values),
+                    curve.error(),
+                )
+                for moment, *found in bands
+                if moment in self.scene.immersion and moment.seconds > 0
+            ]
+        return rows, counts
 
     def _losses(self, alloy: str, implant: Implant, samples: Samples, end: float) -> Array:
         """V_L of every sample at every time (n, nt), as if all liquid were clean.

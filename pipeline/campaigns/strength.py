@@ -41,10 +41,11 @@ def clean_until(scene: Scene, alloy: str, implant: Implant, end: float) -> Omiss
 
 
 class CurveTests:
-    """Mechanical tests of one alloy of a scene at given volume losses.
+    """Mechanical tests of one alloy of a scene at given volume losses, in each way of holding.
 
-    scene: the alloy, mesh and test are those of the scene; folder: of the tests; geometry: a
-    finished geometry folder of the same scene to take over, where there is one.
+    scene: the alloy, meshes and tests are those of the scene; folder: of the tests; geometry: a
+    finished geometry folder of the same scene to take over, where there is one; workers: tests at
+    a time.  What the ions do is left out: they do not act on the metal.
     """
 
     def __init__(
@@ -55,6 +56,7 @@ class CurveTests:
         folder: Path,
         geometry: Path | None = None,
         ranks: int = 1,
+        workers: int = 1,
         progress: Progress | None = None,
     ):
         # A constant rate reaches any volume loss soon, and the damage is the same.
@@ -63,11 +65,11 @@ class CurveTests:
             scene,
             alloys=(scene.alloy(alloy),),
             corrosion=replace(scene.corrosion, kinetics="constant"),
+            ions=None,
         )
         self.implant, self.folder, self.geometry = implant, folder, geometry
-        self.ranks, self.progress = ranks, progress
+        self.ranks, self.workers, self.progress = ranks, workers, progress
         self._model = ReducedModel(self.scene, alloy, implant, ("interface_diffusivity",))
-        self.tests = 0
 
     def time_of(self, loss: float) -> float:
         """When the constant rate has dissolved this share of the metal, s."""
@@ -84,27 +86,36 @@ class CurveTests:
 
         return float(np.exp(brentq(excess, 0.0, np.log(1e12), xtol=1e-12)))
 
-    def peaks(self, losses: list[float]) -> list[float]:
-        """Largest force (N), torque or moment (N m) at each volume loss."""
-        return [self._peak(loss) for loss in losses]
+    def peaks(self, hold: str, losses: list[float]) -> list[float]:
+        """Largest force (N), torque or moment (N m) at rising volume losses, held in one way.
 
-    def _peak(self, loss: float) -> float:
-        seconds = self.time_of(loss) if loss > 0 else 0.0
-        if seconds > 0:
-            clean_until(self.scene, self.alloy, self.implant, seconds)
-        moment = ImmersionTime(f"V{100 * loss:.4f}", seconds)
-        scene = replace(self.scene, immersion=(moment,))
-        folder = RunFolder(self.folder / moment.label)
+        Several losses are one march and are tested in every way of holding of the scene at once:
+        all curves begin with the same ones.
+        """
+        moments = tuple(
+            ImmersionTime(f"V{100 * loss:.4f}", self.time_of(loss) if loss > 0 else 0.0)
+            for loss in losses
+        )
+        if moments[-1].seconds > 0:
+            clean_until(self.scene, self.alloy, self.implant, moments[-1].seconds)
+        scene = replace(self.scene, immersion=moments)
+        ends = dict.fromkeys((moments[0].label, moments[-1].label))
+        folder = RunFolder(self.folder / "-".join(ends))
         if self.geometry is not None and not folder.geometry.exists():
             _take_over(self.geometry, folder.geometry)
-        cycle = LifeCycle(scene, folder, ranks=self.ranks, workers=1, progress=self.progress)
+        cycle = LifeCycle(
+            scene, folder, ranks=self.ranks, workers=self.workers, progress=self.progress
+        )
         cycle.geometry()
         cycle.corrode(self.alloy)
-        test = (self.alloy, moment, scene.holds[0])
-        cycle.map(*test)
-        record = cycle.pull([test])[0]
-        self.tests += 1
-        return float(record.numbers[f"peak_{LOADS[scene.tensile.load].reaction}"])
+        asked = scene.hold(hold)
+        holds = scene.holds if len(moments) > 1 else (asked,)
+        tests = [(self.alloy, moment, way) for way in holds for moment in moments]
+        for test in tests:
+            cycle.map(*test)
+        records = dict(zip(((t[1], t[2].name) for t in tests), cycle.pull(tests), strict=True))
+        reaction = LOADS[scene.tensile.load].reaction
+        return [float(records[m, asked.name].numbers[f"peak_{reaction}"]) for m in moments]
 
 
 def _take_over(source: Path, target: Path) -> None:
@@ -129,14 +140,15 @@ def _link(source: str, target: str) -> str:
 
 def curve_to(
     tests: CurveTests,
+    hold: str,
     largest_loss: float,
     tolerance: float = DEFAULT_TOLERANCE,
     said: Callable[[str], None] = lambda line: None,
 ) -> StrengthCurve:
-    """The curve of peaks from the intact solid to a volume loss."""
-    curve = strength_curve(tests.peaks, largest_loss, tolerance)
+    """The curve of peaks from the intact solid to a volume loss, held in one way."""
+    curve = strength_curve(lambda losses: tests.peaks(hold, losses), largest_loss, tolerance)
     said(
-        f"strength curve of {tests.alloy}: {len(curve.losses)} tests to "
+        f"strength curve of {tests.alloy}, {hold}: {len(curve.losses)} tests to "
         f"{100 * curve.losses[-1]:.3g} % of the volume, error {100 * curve.error():.2g} %"
     )
     return curve

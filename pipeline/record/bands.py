@@ -2,6 +2,7 @@
 
 import csv
 import io
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,11 +12,18 @@ BANDS_FILE = "bands.csv"
 LEVELS = (5, 50, 95)
 """Per cent of the samples that lie below each value of a band."""
 
+_BANDED = {
+    "volume_loss": "volume_loss",
+    "degradation_rate": "degradation_rate_mm_per_year",
+    "strength_ratio": "strength_ratio",
+}
+"""Field of a row with a band -> start of its columns."""
+
 _COLUMNS = (
     "alloy",
+    "hold",
     "immersion_days",
-    *(f"volume_loss_{level}" for level in LEVELS),
-    *(f"strength_ratio_{level}" for level in LEVELS),
+    *(f"{name}_{level}" for name in _BANDED.values() for level in LEVELS),
     "samples",
     "strength_curve_error",
 )
@@ -23,14 +31,18 @@ _COLUMNS = (
 
 @dataclass(frozen=True)
 class BandRow:
-    """One alloy after one immersion time: values below which 5, 50 and 95 % of the samples lie.
+    """One alloy after one immersion time, held in one way.
 
-    samples: of the constants; strength_curve_error: leave-one-out, of the strength ratio.
+    Bands are the values below which 5, 50 and 95 % of the samples lie.  degradation_rate: (5.34)
+    of Hermann 2024, mm/year; samples: of the constants; strength_curve_error: leave-one-out, of
+    the strength ratio.
     """
 
     alloy: str
+    hold: str
     immersion_days: float
     volume_loss: tuple[float, float, float]
+    degradation_rate: tuple[float, float, float]
     strength_ratio: tuple[float, float, float]
     samples: int
     strength_curve_error: float
@@ -42,9 +54,10 @@ def write_bands(path: Path, rows: list[BandRow]) -> None:
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(_COLUMNS)
     for row in rows:
-        numbers = (row.immersion_days, *row.volume_loss, *row.strength_ratio)
+        numbers = (row.immersion_days, *(v for name in _BANDED for v in getattr(row, name)))
         error = f"{row.strength_curve_error:.3g}"
-        writer.writerow([row.alloy, *(f"{v:.10g}" for v in numbers), row.samples, error])
+        lead = (row.alloy, row.hold)
+        writer.writerow([*lead, *(f"{v:.10g}" for v in numbers), row.samples, error])
     write_text(path, buffer.getvalue())
 
 
@@ -59,11 +72,35 @@ def read_bands(path: Path) -> list[BandRow]:
         return [
             BandRow(
                 row["alloy"],
+                row["hold"],
                 float(row["immersion_days"]),
-                tuple(float(row[f"volume_loss_{level}"]) for level in LEVELS),
-                tuple(float(row[f"strength_ratio_{level}"]) for level in LEVELS),
+                *(tuple(float(row[f"{n}_{level}"]) for level in LEVELS) for n in _BANDED.values()),
                 int(row["samples"]),
                 float(row["strength_curve_error"]),
             )
             for row in reader
         ]
+
+
+def print_bands(rows: list[BandRow]) -> None:
+    """Print the rows for a reader."""
+    from rich.console import Console
+    from rich.table import Table
+
+    title = f"{LEVELS[0]} to {LEVELS[-1]} % of the samples of the constants (middle)"
+    table = Table(title=title)
+    for name in ("alloy", "hold", "immersion [d]"):
+        table.add_column(name)
+    for name in ("volume loss [%]", "degradation rate [mm/year]", "strength left [%]"):
+        table.add_column(name, justify="right")
+    for row in rows:
+        shown = [
+            f"{low:.{digits}f} to {high:.{digits}f} ({middle:.{digits}f})"
+            for digits, (low, middle, high) in (
+                (1, [100 * v for v in row.volume_loss]),
+                (3, row.degradation_rate),
+                (1, [100 * v for v in row.strength_ratio]),
+            )
+        ]
+        table.add_row(row.alloy, row.hold, f"{row.immersion_days:g}", *shown)
+    Console(width=None if sys.stdout.isatty() else 120).print(table)

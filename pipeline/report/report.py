@@ -311,7 +311,9 @@ def _band_row(row: BandRow) -> dict[str, str]:
 
     return {
         "alloy": row.alloy,
+        "hold": HOLDINGS[row.hold].part,
         "time": f"{row.immersion_days / 7:.4g} weeks",
+        "rate": "{0:.3f} to {2:.3f}".format(*row.degradation_rate),
         "loss": between(row.volume_loss),
         "ratio": between(row.strength_ratio),
         "samples": f"{row.samples}",
@@ -332,16 +334,18 @@ def _plots(
         for name, alloys in run.held.items()
         if any(i.strength_ratio is not None for a in alloys for i in a.immersions)
     }
+    first = [b for b in banded if b.hold == run.scene.holds[0].name]  # volume loss is alike in all
     return {
         "strength": [
             (
                 HOLDINGS[name].part,
-                # bands are made from tests in the first way of holding
-                Markup(plots.strength_plot(alloys, load, banded * (not n), name)),
+                Markup(
+                    plots.strength_plot(alloys, load, [b for b in banded if b.hold == name], name)
+                ),
             )
-            for n, (name, alloys) in enumerate(ratios.items())
+            for name, alloys in ratios.items()
         ],
-        "volume_loss": Markup(plots.volume_loss_plot(run.alloys, measured, banded))
+        "volume_loss": Markup(plots.volume_loss_plot(run.alloys, measured, first))
         if corroded
         else "",
         "curves": [

@@ -60,6 +60,17 @@ def test_the_reduced_model_is_the_march_of_clean_liquid(pin, noiseless):
     )
 
 
+def test_rate_classes_are_those_of_the_march():
+    scene = resolve_scene(["Mg-5Gd"], ["8w"], corrosion={"classes": 2}, **COARSE)
+    plain = resolve_scene(["Mg-5Gd"], ["8w"], **COARSE)
+    implant = Implant(scene)
+    logs = np.log([constants(scene, "Mg-5Gd")[name] for name in ACTING])
+    values = ReducedModel(scene, "Mg-5Gd", implant, ACTING)(WEEKS, logs)[0]
+    assert march(scene.to_json(), "Mg-5Gd", list(WEEKS)) == pytest.approx(values, abs=1e-12)
+    without = march(plain.to_json(), "Mg-5Gd", list(WEEKS))
+    assert np.abs(values / without - 1).max() > 0.02  # classes are not one rate per node
+
+
 def test_a_held_constant_stays_and_the_other_follows(pin, noiseless):
     scene, implant = pin
     data, _ = noiseless
@@ -131,6 +142,7 @@ def test_the_command_writes_a_set_that_a_run_takes(tmp_path, capsys):
         (["--free", "speed"], "'speed' is not known"),
         (["--wanted", "soon"], "wanted time"),
         (["--profile", "speed"], "--profile is speed"),
+        (["--model", "nnpp"], "--model is 'nnpp'; it must be bi-material in a fit"),
         (["--volume-loss", f"Mg-10Gd={DATA}"], "it must be of Mg-5Gd"),
     ],
 )
