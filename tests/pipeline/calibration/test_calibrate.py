@@ -60,6 +60,7 @@ def test_the_reduced_model_is_the_march_of_clean_liquid(pin, noiseless):
     )
 
 
+@pytest.mark.slow
 def test_rate_classes_are_those_of_the_march():
     scene = resolve_scene(["Mg-5Gd"], ["8w"], corrosion={"classes": 2}, **COARSE)
     plain = resolve_scene(["Mg-5Gd"], ["8w"], **COARSE)
