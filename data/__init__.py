@@ -9,6 +9,8 @@ In a checkout this folder is `data/`; it is imported as `perilife_data`.
 """
 
 from .electrodes import Electrode, common_reference, list_electrodes, load_electrode
+from .experiments import Experiment, PublishedLoss, list_experiments, load_experiment
+from .hardening import HardeningRecord, list_hardening, load_hardening
 from .load import (
     list_alloys,
     list_media,
@@ -28,8 +30,11 @@ __all__ = [
     "Alloy",
     "CorrosionParameters",
     "Electrode",
+    "Experiment",
+    "HardeningRecord",
     "Medium",
     "ParameterSet",
+    "PublishedLoss",
     "Quantity",
     "ReactionSet",
     "Reference",
@@ -38,11 +43,15 @@ __all__ = [
     "did_you_mean",
     "list_alloys",
     "list_electrodes",
+    "list_experiments",
+    "list_hardening",
     "list_media",
     "list_parameter_sets",
     "list_reaction_sets",
     "load_alloy",
     "load_electrode",
+    "load_experiment",
+    "load_hardening",
     "load_medium",
     "load_parameter_set",
     "load_reaction_set",

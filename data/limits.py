@@ -74,6 +74,12 @@ MEDIUM_OPTIONAL = {
     "refresh_interval": _above_zero("time"),
 }
 
+PUBLISHED_LOSS = {
+    "degradation_rate": _above_zero("degradation rate", 1e-6),
+    "mass_loss": Limits("dimensionless", 0.0, 1.0),
+    "after": _above_zero("time"),
+}
+
 _POTENTIAL = Limits("electric potential", -10, 10)
 ELECTRODE = {"temperature": TEMPERATURE}
 TAFEL_PIECE = {

@@ -378,6 +378,16 @@ def _alloys(options: argparse.Namespace) -> int:
     for name in perilife_data.list_parameter_sets():
         parameters = perilife_data.load_parameter_set(name)
         print(f"{name:24s} {parameters.title} ({', '.join(parameters.alloys)})")
+    print("\nother records of hardening (--hardening)")
+    for name in perilife_data.list_hardening():
+        print(f"{name:26s} {perilife_data.load_hardening(name).title}")
+    print("\nlosses that others printed (perilife_data.load_experiment)")
+    for name in perilife_data.list_experiments():
+        experiment = perilife_data.load_experiment(name)
+        for label, loss in experiment.results.items():
+            found = [str(q) for q in (loss.degradation_rate, loss.mass_loss) if q is not None]
+            after = "" if loss.after is None else f" after {loss.after}"
+            print(f"{name:16s} {label.replace('_', ' ')}: {found[0]}{after} ({experiment.title})")
     return 0
 
 

@@ -180,10 +180,21 @@ def _alloy_record(alloy: AlloyScene) -> perilife_data.Alloy | None:
         return None
 
 
+def _own_hardening(alloy: AlloyScene) -> dict[str, perilife_data.Quantity]:
+    """Quantities of the hardening record that the run named, none where it took the alloy's own."""
+    if not alloy.hardening:
+        return {}
+    try:
+        return perilife_data.load_hardening(alloy.hardening).quantities()
+    except (ValueError, OSError):
+        return {}
+
+
 def _mechanical_rows(alloy: AlloyScene) -> list[ParameterRow]:
     place = ("Mechanics", alloy.name)
     material, record = alloy.material, _alloy_record(alloy)
     known = record.quantities() if record else {}
+    known |= _own_hardening(alloy)
     rows = [
         _row(place, name, getattr(material, name), known.get(name))
         for name in ("young_modulus", "poisson_ratio", "q1")

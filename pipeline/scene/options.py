@@ -142,6 +142,12 @@ def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -
     tensile.add_argument(
         "--bending-azimuth", metavar="ANGLE", help="of the axis of bending from x, as 30deg (0deg)"
     )
+    tensile.add_argument(
+        "--hardening",
+        nargs="+",
+        metavar="NAME",
+        help="another record of an alloy's hardening (`perilife alloys`), or TOML file of one",
+    )
     tensile.add_argument("--mesh-size", metavar="LENGTH", help="edge length in the bulk")
     tensile.add_argument("--mesh-size-fine", metavar="LENGTH", help="at thread and slot")
     tensile.add_argument("--element", metavar="E")
@@ -238,6 +244,10 @@ def scene_from_options(options: argparse.Namespace) -> Scene:
         measured_volume_loss=_measured(options),
         ions=_ions(options),
     )
+    if options.hardening:
+        from pipeline.scene.hardening import with_hardening
+
+        scene = with_hardening(scene, options.hardening)
     if options.kinetics is not None:
         from pipeline.scene.resolve import rate_law
 

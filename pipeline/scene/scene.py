@@ -227,12 +227,16 @@ class MaterialParameters:
 
 @dataclass(frozen=True)
 class AlloyScene:
-    """One alloy of the scene: its name, where it came from, and its constants."""
+    """One alloy of the scene: its name, where it came from, and its constants.
+
+    hardening: name or file of another record than the alloy's own, empty for its own.
+    """
 
     name: str
     corrosion: CorrosionParameters
     material: MaterialParameters
     source: str = ""
+    hardening: str = ""
 
     def __post_init__(self) -> None:
         check(

@@ -11,6 +11,8 @@ from perilife_data.schema import Record
 LOADERS = {
     "alloys": (perilife_data.list_alloys, perilife_data.load_alloy),
     "electrodes": (perilife_data.list_electrodes, perilife_data.load_electrode),
+    "experiments": (perilife_data.list_experiments, perilife_data.load_experiment),
+    "hardening": (perilife_data.list_hardening, perilife_data.load_hardening),
     "media": (perilife_data.list_media, perilife_data.load_medium),
     "parameter_sets": (perilife_data.list_parameter_sets, perilife_data.load_parameter_set),
     "reactions": (perilife_data.list_reaction_sets, perilife_data.load_reaction_set),
@@ -44,6 +46,45 @@ def test_parameter_sets_name_known_alloys() -> None:
     for name in perilife_data.list_parameter_sets():
         parameters = perilife_data.load_parameter_set(name)
         assert list(parameters.alloys) == perilife_data.list_alloys()
+
+
+def test_hardening_records_are_of_known_alloys_and_differ_from_their_own() -> None:
+    assert perilife_data.list_hardening("Mg-5Gd") == [
+        "mg-5gd-crystal-plasticity",
+        "mg-5gd-soft",
+        "mg-5gd-strong",
+    ]
+    for name in perilife_data.list_hardening():
+        record = perilife_data.load_hardening(name)
+        own = perilife_data.load_alloy(record.alloy)
+        ratio = record.yield_stress.si / own.yield_stress.si
+        assert 0.5 < ratio < 1.5 and abs(ratio - 1) > 0.1
+
+
+def test_a_published_rate_is_of_the_size_of_those_computed() -> None:
+    found = perilife_data.load_experiment("mg-gd-extruded").results["extruded"]
+    year = 365.25 * 86400
+    assert found.degradation_rate.si * year == pytest.approx(0.2e-3, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("[results.a.after]", "[results.a.before]", "before is not a known key"),
+        ("[results.a.mass_loss]", "[results.a.degradation_rate]", "a unit of degradation rate"),
+    ],
+)
+def test_half_a_result_is_refused(old, new, words, tmp_path) -> None:
+    quantity = 'unit = "{}"\nsource = "marek2023"\nwhere = "x"\nkind = "published"\n'
+    text = 'name = "x"\ntitle = "x"\n[results.a]\nmaterial = "x"\nmedium = "x"\n'
+    text += "[results.a.mass_loss]\nvalue = 5\n" + quantity.format("%")
+    text += "[results.a.after]\nvalue = 5\n" + quantity.format("w")
+    path = tmp_path / "x.toml"
+    path.write_text(text)
+    assert perilife_data.load_experiment(path).results["a"].mass_loss.si == 0.05
+    path.write_text(text.replace(old, new))
+    with pytest.raises(ValueError, match=words):
+        perilife_data.load_experiment(path)
 
 
 def test_every_quantity_says_where_it_is_from() -> None:
