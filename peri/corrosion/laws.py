@@ -15,12 +15,12 @@ from peri.corrosion.choices import SATURATION_MODELS
 if TYPE_CHECKING:
     import numpy as np
 
-    from peri.corrosion.solids import Solid
-    from peri.engine.problem import Attempt, Fields, Stage
+    from peri.corrosion.metal.solids import Solid
+    from peri.engine.march.problem import Attempt, Fields, Stage
 
 INTERFACE_LAWS = {
-    "proportional": "peri.corrosion.proportional.Proportional",
-    "faradaic": "peri.corrosion.faradaic.Faradaic",
+    "proportional": "peri.corrosion.interface.proportional.Proportional",
+    "faradaic": "peri.corrosion.interface.faradaic.Faradaic",
 }
 """Where each law is."""
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from peri.corrosion.problem import COLUMNS
+from peri.corrosion.nodes.problem import COLUMNS
 from peri.corrosion.run import CorrosionResult
 from peri.engine.results import Field, axes_of, read_result, write_result
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from peri.corrosion.cell_problem import CellProblem
-from peri.corrosion.problem import COLUMNS, CorrosionProblem
+from peri.corrosion.classes.problem import CellProblem
+from peri.corrosion.nodes.problem import COLUMNS, CorrosionProblem
 from peri.corrosion.scene import CorrosionScene
-from peri.engine.marching import TimeStepping, check_times, march
+from peri.engine.march.marching import TimeStepping, check_times, march
 from peri.engine.processes import ONE_PROCESS, OneProcess
 
 HISTORY = ("time", "step", *COLUMNS, "iterations")
@@ -48,7 +48,7 @@ def corrode(
     checkpoint_every: float = 30.0,
     processes: OneProcess = ONE_PROCESS,
 ) -> CorrosionResult:
-    """March a corrosion scene to the times asked for (engine.marching.march).
+    """March a corrosion scene to the times asked for (engine.march.marching.march).
 
     Conserved: metal + free liquid + released amount, to the linear solver's tolerance relative
     to the initial metal (history["balance_error"]; tests/peri/corrosion/test_run.py).

@@ -12,13 +12,13 @@ import numpy as np
 from peri.corrosion.choices import BOUNDARIES, FLUX_CALIBRATIONS, SATURATION_MODELS
 from peri.corrosion.kinetics import QUANTITIES, ConstantRate, Kinetics
 from peri.corrosion.laws import InterfaceLaw, interface_law
-from peri.corrosion.solids import Solid
+from peri.corrosion.metal.solids import Solid
 from peri.engine.cells import hand_over
 from peri.engine.influence import Stencil, closed_strength, diffusion_stencil
 from peri.engine.lattice import Lattice
 
 if TYPE_CHECKING:
-    from peri.corrosion.rate_classes import CellExposure
+    from peri.engine.surface.rate_classes import CellExposure
 
 
 @dataclass(frozen=True)

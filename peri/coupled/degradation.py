@@ -16,16 +16,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from peri.corrosion.problem import COLUMNS, CorrosionProblem
+from peri.corrosion.nodes.problem import COLUMNS, CorrosionProblem
 from peri.corrosion.scene import CorrosionScene
 from peri.coupled.surroundings import HYDROGEN_PER_METAL, Surroundings
-from peri.engine.checkpoints import fingerprint
-from peri.engine.problem import BoundsError, Fields, Stage, State
-from peri.engine.stepping import GAMMA
-from peri.transport.composition import CompositionError
+from peri.engine.march.checkpoints import fingerprint
+from peri.engine.march.problem import BoundsError, Fields, Stage, State
+from peri.engine.march.stepping import GAMMA
+from peri.transport.chemistry.composition import CompositionError
+from peri.transport.chemistry.speciation import Solution
 from peri.transport.liquid import LiquidState
 from peri.transport.nernst_planck import TransportOptions
-from peri.transport.speciation import Solution
 
 _LIQUID_FIELDS = (
     "ln_component", "release", "extents", "migrated", "rates", "psi",

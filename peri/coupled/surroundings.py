@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from peri.corrosion.bimaterial import BiMaterial
+from peri.corrosion.nodes.bimaterial import BiMaterial
+from peri.transport.chemistry.speciation import Solution
 from peri.transport.liquid import LiquidSpace, LiquidState
 from peri.transport.nernst_planck import QuasiSteadyLiquid, TransportOptions
-from peri.transport.speciation import Solution
 
 MAGNESIUM = {"Mg": 1.0, "OH": 2.0}
 """Mg + 2 H2O -> Mg2+ + 2 OH- + H2: what anode and cathode at one place set free per mole."""

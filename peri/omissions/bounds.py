@@ -8,9 +8,9 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 from scipy.optimize import minimize_scalar
 
-from peri.corrosion.bimaterial import BiMaterial
-from peri.corrosion.cells import Cells
+from peri.corrosion.classes.cells import Cells
 from peri.corrosion.kinetics import Exposed
+from peri.corrosion.nodes.bimaterial import BiMaterial
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.cells import around
 

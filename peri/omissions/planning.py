@@ -16,12 +16,12 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from peri.corrosion.bimaterial import BiMaterial
-from peri.corrosion.cells import Cells, class_bond_sums
+from peri.corrosion.classes.cells import Cells, class_bond_sums
 from peri.corrosion.kinetics import Exposed
+from peri.corrosion.nodes.bimaterial import BiMaterial
 from peri.corrosion.run import CorrosionResult, corrode
 from peri.corrosion.scene import CorrosionScene
-from peri.engine.marching import TimeStepping
+from peri.engine.march.marching import TimeStepping
 from peri.engine.omission import DEFAULT_TOLERANCE, Omission, check_request
 from peri.engine.solvers import ConvergenceError, DiffusionSystem
 from peri.omissions.bounds import arrival_bound, front_depth, least_loss, metal_at_risk

@@ -24,9 +24,9 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import ArrayLike, NDArray
 
-from peri.corrosion.bimaterial import BiMaterial
-from peri.corrosion.cells import class_bond_sums
+from peri.corrosion.classes.cells import class_bond_sums
 from peri.corrosion.kinetics import Exposed, Kinetics
+from peri.corrosion.nodes.bimaterial import BiMaterial
 from peri.corrosion.scene import CorrosionScene
 
 Array = NDArray[np.float64]

@@ -26,9 +26,9 @@ from typing import Protocol
 import numpy as np
 from scipy.linalg import solve_banded
 
-from peri.engine.checkpoints import fingerprint
 from peri.engine.constants import FARADAY
-from peri.engine.problem import Attempt, Fields, FirstOrder, Stage, State
+from peri.engine.march.checkpoints import fingerprint
+from peri.engine.march.problem import Attempt, Fields, FirstOrder, Stage, State
 from peri.engine.solvers import ConvergenceError
 
 _ITERATIONS = 60

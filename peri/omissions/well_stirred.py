@@ -14,12 +14,12 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import brentq
 
-from peri.corrosion.bimaterial import BiMaterial
-from peri.corrosion.cells import class_bond_sums
+from peri.corrosion.classes.cells import class_bond_sums
 from peri.corrosion.kinetics import Exposed
+from peri.corrosion.nodes.bimaterial import BiMaterial
 from peri.corrosion.run import HISTORY, CorrosionResult
 from peri.corrosion.scene import CorrosionScene
-from peri.engine.stepping import GAMMA
+from peri.engine.march.stepping import GAMMA
 from peri.omissions.reduced import ReducedCorrosion, factor_of, refuse_other_laws
 
 

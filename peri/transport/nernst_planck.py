@@ -25,13 +25,13 @@ import numpy as np
 
 from peri.engine.constants import FARADAY, GAS_CONSTANT
 from peri.engine.solvers import ConvergenceError
-from peri.transport.activity import conditional_constants, mineral_constants
-from peri.transport.composition import Composer, CompositionError
+from peri.transport.chemistry.activity import conditional_constants, mineral_constants
+from peri.transport.chemistry.composition import Composer, CompositionError
+from peri.transport.chemistry.minerals import MineralField, solve_mineral
+from peri.transport.chemistry.speciation import Solution
+from peri.transport.chemistry.species import LN10, MOLAR
 from peri.transport.fluxes import FLUX_FORMS, LARGEST_SQRA_STEP, largest_bond_step, migration
 from peri.transport.liquid import LiquidSpace, LiquidState
-from peri.transport.minerals import MineralField, solve_mineral
-from peri.transport.speciation import Solution
-from peri.transport.species import LN10, MOLAR
 
 log = logging.getLogger(__name__)
 

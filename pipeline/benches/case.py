@@ -133,7 +133,7 @@ def screw_march(
     takes these steps in clean liquid, apart from its own time.
     """
     from peri.corrosion.run import corrode
-    from peri.engine.marching import TimeStepping
+    from peri.engine.march.marching import TimeStepping
     from peri.omissions.names import LIQUID, SOLID_CORE
     from peri.omissions.planning import corrode_lean, plan_omissions
     from peri.omissions.well_stirred import clean_march
@@ -207,7 +207,7 @@ def ball_march(spacing: float, steps: int, petsc: bool) -> dict | None:
     from peri.corrosion.run import corrode
     from peri.corrosion.scene import CorrosionScene
     from peri.engine.lattice import ball, box_lattice, cylinder
-    from peri.engine.marching import TimeStepping
+    from peri.engine.march.marching import TimeStepping
 
     march, root = corrode, True
     if petsc:

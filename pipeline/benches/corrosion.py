@@ -12,13 +12,13 @@ from collections.abc import Callable
 import numpy as np
 from numba import njit, prange
 
-from peri.corrosion.bimaterial import BiMaterial
 from peri.corrosion.kinetics import ConstantRate
+from peri.corrosion.nodes.bimaterial import BiMaterial
 from peri.corrosion.run import corrode
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.influence import diffusion_stencil
 from peri.engine.lattice import Lattice
-from peri.engine.marching import TimeStepping
+from peri.engine.march.marching import TimeStepping
 from peri.engine.operators import NonlocalSum
 from pipeline.benches.case import in_own_process, solve
 from pipeline.benches.result import Result

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from peri.corrosion.kinetics import VolumeLossLaw
-from peri.corrosion.rate_classes import rate_classes
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.lattice import Lattice
 from peri.engine.lattice import ball as nodes_of_ball
-from peri.engine.surface import Surface
+from peri.engine.surface.rate_classes import rate_classes
+from peri.engine.surface.triangles import Surface
 from peri.omissions.reduced import ReducedCorrosion, factor_of
 from pipeline.benches.result import Result
 from pipeline.stages.exposure import share_of_ball

@@ -17,7 +17,7 @@ from peri.corrosion.kinetics import VolumeLossLaw
 from peri.corrosion.scene import CorrosionScene
 from peri.coupled.degradation import Degradation
 from peri.engine.lattice import box_lattice, cylinder
-from peri.engine.marching import TimeStepping, march
+from peri.engine.march.marching import TimeStepping, march
 from peri.transport.nernst_planck import TransportOptions
 from pipeline.benches.result import Result
 from pipeline.scene.ions import resolve_ions

@@ -7,9 +7,9 @@ import time
 import numpy as np
 
 from peri.corrosion.acidity import AcidityLaw
-from peri.corrosion.bond_damage import BondDamage
+from peri.corrosion.metal.bond_damage import BondDamage
 from peri.engine.lattice import Lattice
-from peri.engine.marching import TimeStepping, march
+from peri.engine.march.marching import TimeStepping, march
 from peri.omissions.thin_gap import ThinGap, ThinGapProblem
 from pipeline.benches.result import Result
 

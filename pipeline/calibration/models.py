@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from peri.corrosion.scene import CorrosionScene
-from peri.engine.marching import TimeStepping
+from peri.engine.march.marching import TimeStepping
 from peri.engine.omission import Omission
 from peri.omissions.names import LIQUID
 from peri.omissions.planning import corrode_lean, plan_omissions

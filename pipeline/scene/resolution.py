@@ -63,7 +63,8 @@ class Resolution:
 
     spacing: lattice spacing; horizon: thickness of the corroded layer, a material length
     that stays the same in all presets; rate_change: what controls the time step
-    (engine.marching); mesh_size, mesh_size_fine: edge length in the bulk, and at thread and slot;
+    (engine.march.marching); mesh_size, mesh_size_fine: edge length in the bulk, and at thread and
+    slot;
     increment: largest nominal strain step of the tensile test.
     """
 

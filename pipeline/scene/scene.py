@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 from peri.corrosion.choices import BOUNDARIES
 from peri.corrosion.choices import SATURATION_MODELS as SATURATIONS
 from peri.corrosion.laws import INTERFACE_LAWS
+from peri.engine.march.stepping import SCHEMES as TIME_SCHEMES
 from peri.engine.omission import DEFAULT_TOLERANCE
-from peri.engine.stepping import SCHEMES as TIME_SCHEMES
 from peri.omissions.names import OMITTABLE
 from perilife_data import did_you_mean
 from perilife_data.limits import LARGEST_YIELD_STRAIN
@@ -104,8 +104,9 @@ class CorrosionSettings:
 
     kinetics: how the rate changes, NAME or NAME:number=value,... (pipeline.scene.rate_law).
     dissolution: what a bond between metal and liquid carries (peri.corrosion.scene).
-    step: fixed time step (s); None lets rate_change control it (peri.engine.marching.TimeStepping).
-    classes: rate classes per cell near the surface (peri.corrosion.rate_classes); 0: each node
+    step: fixed time step (s); None lets rate_change control it
+    (peri.engine.march.marching.TimeStepping).
+    classes: rate classes per cell near the surface (peri.engine.surface.rate_classes); 0: each node
     has one phase and one rate.
     tolerance: error of V_L, relative, up to which the march leaves out what the scene does not
     need (peri.omissions.planning); keep: what to compute all the same.

@@ -15,14 +15,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from peri.corrosion.rate_classes import CellExposure
 from peri.corrosion.results import write_corrosion, write_history, write_image_series
 from peri.corrosion.scene import CorrosionScene
-from peri.engine.checkpoints import CheckpointError
 from peri.engine.influence import diffusion_stencil
 from peri.engine.lattice import Lattice, ball, box_lattice, cylinder
-from peri.engine.marching import TimeStepping
+from peri.engine.march.checkpoints import CheckpointError
+from peri.engine.march.marching import TimeStepping
 from peri.engine.omission import Omission
+from peri.engine.surface.rate_classes import CellExposure
 from peri.omissions.planning import corrode_lean, plan_omissions
 from pipeline.geometry.surface import Solid
 from pipeline.geometry.voxels import metal_fraction

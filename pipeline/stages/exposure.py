@@ -13,10 +13,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from peri.corrosion.rate_classes import CellExposure, RateClasses, cell_exposure, default_finest
-from peri.engine.checkpoints import fingerprint
 from peri.engine.lattice import Lattice
-from peri.engine.surface import Surface
+from peri.engine.march.checkpoints import fingerprint
+from peri.engine.surface.rate_classes import (
+    CellExposure,
+    RateClasses,
+    cell_exposure,
+    default_finest,
+)
+from peri.engine.surface.triangles import Surface
 from pipeline.geometry.surface import Solid
 
 logger = logging.getLogger(__name__)

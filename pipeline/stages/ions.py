@@ -11,21 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from peri.corrosion.problem import CorrosionProblem
+from peri.corrosion.nodes.problem import CorrosionProblem
 from peri.corrosion.run import HISTORY, CorrosionResult
 from peri.corrosion.scene import CorrosionScene
 from peri.coupled.degradation import Degradation
-from peri.engine.marching import TimeStepping, march
+from peri.engine.march.marching import TimeStepping, march
+from peri.engine.march.problem import State
 from peri.engine.omission import Omission
-from peri.engine.problem import State
 from peri.engine.results import Field, axes_of, write_result
 from peri.omissions.ions import ion_omissions
 from peri.omissions.names import LIQUID
 from peri.omissions.planning import corrode_lean
-from peri.transport.activity import check_strength
+from peri.transport.chemistry.activity import check_strength
+from peri.transport.chemistry.speciation import Solution, speciate
+from peri.transport.chemistry.species import Chemistry
 from peri.transport.nernst_planck import TransportOptions
-from peri.transport.speciation import Solution, speciate
-from peri.transport.species import Chemistry
 from pipeline.scene.ions import IonSettings
 
 logger = logging.getLogger(__name__)

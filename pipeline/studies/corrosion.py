@@ -18,11 +18,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from peri.corrosion.bimaterial import BiMaterial
+from peri.corrosion.nodes.bimaterial import BiMaterial
 from peri.corrosion.run import corrode
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.lattice import Lattice, box_lattice
-from peri.engine.marching import TimeStepping
+from peri.engine.march.marching import TimeStepping
 from peri.omissions.names import LIQUID
 from peri.omissions.planning import corrode_lean, plan_omissions
 from peri.omissions.well_stirred import well_stirred

@@ -118,7 +118,7 @@ class Workshop:
 
         changes: of the scene (scene.resolve.resolve_scene), the rate change aside.
         """
-        from peri.engine.marching import TimeStepping
+        from peri.engine.march.marching import TimeStepping
         from peri.omissions.planning import corrode_lean
         from pipeline.stages.corrosion import (
             corrosion_scene,

@@ -8,7 +8,7 @@ import numpy as np
 
 from peri.corrosion.kinetics import ConstantRate
 from peri.corrosion.run import corrode
-from peri.engine.marching import TimeStepping
+from peri.engine.march.marching import TimeStepping
 from tests.extreme.test_corrosion_extreme import SHAPES, SOLID, YEAR, box_scene
 from tests.peri.corrosion.scenes import pin
 from tests.peri.corrosion.test_run import check_invariants

@@ -7,7 +7,7 @@ from peri.corrosion.kinetics import ConstantRate, VolumeLossLaw
 from peri.corrosion.run import corrode
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.lattice import Lattice
-from peri.engine.marching import TimeStepping
+from peri.engine.march.marching import TimeStepping
 from tests.peri.corrosion.scenes import pin
 from tests.peri.corrosion.test_run import check_invariants
 

@@ -11,10 +11,10 @@ import perilife_data
 from peri.engine.influence import diffusion_stencil
 from peri.engine.lattice import box_lattice
 from peri.engine.solvers import ConvergenceError
+from peri.transport.chemistry.speciation import speciate
+from peri.transport.chemistry.species import Chemistry
 from peri.transport.liquid import LiquidSpace
 from peri.transport.nernst_planck import QuasiSteadyLiquid, TransportOptions
-from peri.transport.speciation import speciate
-from peri.transport.species import Chemistry
 from tests.peri.transport.chemistries import SALINE, SBF, chemistry
 from tests.peri.transport.columns import MAGNESIUM, column
 

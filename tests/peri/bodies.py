@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from peri.engine.surface import Surface
+from peri.engine.surface.triangles import Surface
 
 
 def box(lower, upper) -> Surface:

@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from peri.corrosion.bimaterial import BiMaterial
 from peri.corrosion.kinetics import Exposed, VolumeLossLaw
+from peri.corrosion.nodes.bimaterial import BiMaterial
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.lattice import ball, box_lattice
 

@@ -7,7 +7,7 @@ from peri.corrosion import CorrosionScene, corrode
 from peri.corrosion.acidity import AcidityLaw
 from peri.corrosion.kinetics import Exposed
 from peri.engine.lattice import Lattice
-from peri.engine.marching import TimeStepping
+from peri.engine.march.marching import TimeStepping
 
 LAW = AcidityLaw(5600.0, reference_current=2.0)
 

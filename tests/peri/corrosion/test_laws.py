@@ -7,7 +7,7 @@ from peri.corrosion.kinetics import KINETICS, ButlerVolmer, ConstantRate, Expose
 from peri.corrosion.kinetics import VolumeLossLaw as VolumeLoss
 from peri.corrosion.laws import INTERFACE_LAWS, interface_law
 from peri.corrosion.run import corrode
-from peri.engine.marching import TimeStepping
+from peri.engine.march.marching import TimeStepping
 from peri.omissions.planning import corrode_lean
 from tests.peri.corrosion.scenes import WEEK, pin
 from tests.peri.corrosion.test_run import check_invariants

@@ -5,16 +5,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from peri.corrosion.bimaterial import BiMaterial
 from peri.corrosion.kinetics import ConstantRate, Exposed, Kinetics
-from peri.corrosion.problem import CorrosionProblem
+from peri.corrosion.nodes.bimaterial import BiMaterial
+from peri.corrosion.nodes.problem import CorrosionProblem
 from peri.corrosion.run import corrode
-from peri.engine.marching import TimeStepping, march
-from peri.engine.problem import State
+from peri.engine.march.marching import TimeStepping, march
+from peri.engine.march.problem import State
 from peri.omissions.planning import LIQUID, plan_omissions
 from peri.omissions.well_stirred import well_stirred
+from tests.peri.corrosion.nodes.test_bimaterial import right_side
 from tests.peri.corrosion.scenes import WEEK, pin
-from tests.peri.corrosion.test_bimaterial import right_side
 from tests.peri.corrosion.test_run import check_invariants
 from tests.peri.dense import pair_matrix
 

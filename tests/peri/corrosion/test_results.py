@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from peri.corrosion.kinetics import VolumeLossLaw
-from peri.corrosion.problem import CorrosionProblem
+from peri.corrosion.nodes.problem import CorrosionProblem
 from peri.corrosion.results import (
     read_corrosion,
     write_corrosion,
@@ -15,8 +15,8 @@ from peri.corrosion.results import (
     write_image_series,
 )
 from peri.corrosion.run import HISTORY, corrode
-from peri.engine.checkpoints import CheckpointError, read_checkpoint, write_checkpoint
-from peri.engine.marching import TimeStepping
+from peri.engine.march.checkpoints import CheckpointError, read_checkpoint, write_checkpoint
+from peri.engine.march.marching import TimeStepping
 from tests.peri.corrosion.scenes import WEEK, pin
 
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from peri.corrosion.bimaterial import BiMaterial
 from peri.corrosion.kinetics import ConstantRate, VolumeLossLaw
+from peri.corrosion.nodes.bimaterial import BiMaterial
 from peri.corrosion.run import corrode
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.lattice import ball, box_lattice
-from peri.engine.marching import TimeStepping
+from peri.engine.march.marching import TimeStepping
 from tests.peri.corrosion.scenes import WEEK, clean_liquid_loss, pin
 
 LIQUIDS = {

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from peri.corrosion.bimaterial import BiMaterial
+from peri.corrosion.nodes.bimaterial import BiMaterial
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.lattice import Lattice, ball, box_lattice
 from tests.peri.corrosion.scenes import pin

@@ -11,12 +11,12 @@ from peri.corrosion.run import corrode
 from peri.corrosion.scene import CorrosionScene
 from peri.coupled.degradation import Degradation
 from peri.coupled.surroundings import Surroundings
-from peri.engine.checkpoints import CheckpointError
 from peri.engine.lattice import ball, box_lattice
-from peri.engine.marching import TimeStepping, march
+from peri.engine.march.checkpoints import CheckpointError
+from peri.engine.march.marching import TimeStepping, march
+from peri.transport.chemistry.speciation import Solution, speciate
+from peri.transport.chemistry.species import Chemistry
 from peri.transport.nernst_planck import TransportOptions
-from peri.transport.speciation import Solution, speciate
-from peri.transport.species import Chemistry
 
 WEEK = 7 * 86400.0
 

@@ -9,7 +9,7 @@ from peri.corrosion.kinetics import ButlerVolmer, ConstantRate, Kinetics, Volume
 from peri.corrosion.run import corrode
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.lattice import ball, box_lattice
-from peri.engine.marching import TimeStepping
+from peri.engine.march.marching import TimeStepping
 from peri.omissions.bounds import arrival_bound, front_depth, least_loss, metal_at_risk
 from peri.omissions.names import COARSE_LIQUID, FAR_LIQUID, LIQUID, OMITTABLE, SOLID_CORE
 from peri.omissions.planning import corrode_lean, plan_omissions

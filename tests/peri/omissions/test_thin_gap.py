@@ -8,7 +8,7 @@ from scipy.integrate import quad
 
 from peri.corrosion.acidity import AcidityLaw
 from peri.engine.constants import FARADAY
-from peri.engine.marching import TimeStepping, march
+from peri.engine.march.marching import TimeStepping, march
 from peri.omissions.thin_gap import ThinGap, ThinGapProblem
 
 HOUR = 3600.0

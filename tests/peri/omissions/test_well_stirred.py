@@ -5,7 +5,7 @@ import pytest
 
 from peri.corrosion.kinetics import ConstantRate, VolumeLossLaw
 from peri.corrosion.run import corrode
-from peri.engine.marching import TimeStepping
+from peri.engine.march.marching import TimeStepping
 from peri.omissions.planning import liquid_bound
 from peri.omissions.reduced import ReducedCorrosion
 from peri.omissions.well_stirred import clean_march, well_stirred

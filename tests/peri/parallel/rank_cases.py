@@ -12,7 +12,7 @@ from peri.corrosion import CorrosionScene
 from peri.corrosion.blocks import block_scene
 from peri.corrosion.kinetics import VolumeLossLaw
 from peri.engine.lattice import ball, box_lattice, cylinder
-from peri.engine.marching import TimeStepping
+from peri.engine.march.marching import TimeStepping
 from peri.engine.operators import NonlocalSum
 from peri.engine.processes import ONE_PROCESS
 from peri.engine.solvers import DiffusionSystem, LinearSystem

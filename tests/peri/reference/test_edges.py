@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from peri.corrosion.bimaterial import BiMaterial
+from peri.corrosion.nodes.bimaterial import BiMaterial
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.influence import diffusion_stencil
 from peri.engine.lattice import Lattice

@@ -4,7 +4,7 @@ import dataclasses
 from functools import cache
 
 import perilife_data
-from peri.transport.species import Chemistry
+from peri.transport.chemistry.species import Chemistry
 
 SBF = {"HCO3": 34.88, "HPO4": 1.39, "Ca": 2.31, "Na": 142.0, "Cl": 109.9}
 """Totals of Table 5.3, mol/m3."""

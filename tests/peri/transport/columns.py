@@ -4,10 +4,10 @@ import numpy as np
 
 from peri.engine.influence import diffusion_stencil
 from peri.engine.lattice import box_lattice
+from peri.transport.chemistry.speciation import Solution, speciate
+from peri.transport.chemistry.species import Chemistry
 from peri.transport.liquid import LiquidSpace
 from peri.transport.nernst_planck import QuasiSteadyLiquid, TransportOptions
-from peri.transport.speciation import Solution, speciate
-from peri.transport.species import Chemistry
 
 MAGNESIUM = {"Mg": 1.0, "OH": 2.0}
 

@@ -2,7 +2,7 @@
 
 from phreeqpython import PhreeqPython
 
-from peri.transport.species import LN10, Chemistry
+from peri.transport.chemistry.species import LN10, Chemistry
 
 # The element that PHREEQC books a component under, and its name for the component.
 ELEMENT = {"CO3": "C", "PO4": "P", "Mg": "Mg", "Ca": "Ca", "Na": "Na", "Cl": "Cl"}

@@ -8,9 +8,9 @@ import pytest
 import perilife_data
 from peri.engine.influence import diffusion_stencil
 from peri.engine.lattice import ball, box_lattice
+from peri.transport.chemistry.species import Chemistry
 from peri.transport.liquid import LiquidSpace
 from peri.transport.nernst_planck import QuasiSteadyLiquid, TransportOptions
-from peri.transport.species import Chemistry
 from tests.peri.transport.chemistries import SALINE, SBF, chemistry, without
 from tests.peri.transport.columns import MAGNESIUM, column, medium_of
 

@@ -12,7 +12,7 @@ from peri.corrosion.kinetics import VolumeLossLaw
 from peri.corrosion.run import corrode
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.lattice import box_lattice, cylinder
-from peri.engine.marching import TimeStepping
+from peri.engine.march.marching import TimeStepping
 from pipeline.record.run_results import AlloyResult
 from pipeline.report.ions import ion_section
 from pipeline.scene.ions import IonSettings, resolve_ions

@@ -1,0 +1,97 @@
+"""Amounts of a bi-material problem: what the metal has lost, what a stage has to add up to."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from peri.corrosion.interface.exchange import Exchange
+from peri.corrosion.phases import Phases
+
+
+class Balance:
+    """Volume loss, amounts and their balance.
+
+    metal_scale : sum over the initial metal of c C_solid (in cells).  liquid_below : metal with
+    no more than this is liquid, mol/m^3.
+    """
+
+    def __init__(self, phases: Phases) -> None:
+        self.phases, scene = phases, phases.scene
+        self.liquid_below = scene.dissolution.liquid_below(scene)
+        volumes = phases.volumes()
+        contents = [solid.concentration for solid in scene.solids]
+        self.metal_scale = sum(v * c for v, c in zip(volumes, contents, strict=True))
+        self._loss_scale = sum(
+            v * (c - self.liquid_below) for v, c in zip(volumes, contents, strict=True)
+        )
+
+    def volume_loss(self, concentration: np.ndarray) -> float:
+        """V_L = 1 - sum_metal c (C - C_sat) / sum_initial metal c (C_solid - C_sat).
+
+        A node below C_sat is no metal any more and counts as 0, so V_L does not jump back when
+        it changes phase.
+        """
+        p = self.phases
+        if self._loss_scale == 0:
+            return 0.0
+        values = np.maximum(concentration[p.metal] - self.liquid_below, 0.0)
+        left = p.processes.total(float((values * p.capacity[p.metal]).sum()))
+        return min(1.0, max(0.0, 1.0 - left / self._loss_scale))
+
+    def loss_of(self, box_metal_concentration: np.ndarray) -> float:
+        """V_L for metal concentrations on the box."""
+        p = self.phases
+        values = np.maximum(box_metal_concentration[p.box_metal] - self.liquid_below, 0.0)
+        left = float((values * p.box_metal_volume[p.box_metal]).sum())
+        return min(1.0, max(0.0, 1.0 - p.processes.total(left) / self._loss_scale))
+
+    def amounts(self, concentration: np.ndarray) -> tuple[float, float]:
+        """Amount in the metal and in the free liquid, mol (per m or m^2 in 2D, 1D)."""
+        p = self.phases
+        volume = p.scene.lattice.cell_volume
+        contents = p.capacity * concentration
+        metal, liquid = (float(contents[nodes].sum()) for nodes in (p.metal, p.free))
+        return volume * p.processes.total(metal), volume * p.processes.total(liquid)
+
+    def close(
+        self, result: np.ndarray, old: np.ndarray, released: float, active: np.ndarray
+    ) -> None:
+        """Scale the liquid (or the metal) so that the stage's amounts add up to round-off.
+
+        What is missing is the sum of the linear solver's residual, which would add up over the
+        steps (and is the solver's round-off, not its tolerance, for very stiff ones).  The factor
+        differs from 1 by no more than that.  Where the liquid is too clean to hold it, or all of
+        it is held at C_sat, what the metal loses takes it (or, at rest, less than 1e-9 of the
+        metal), so that no node rises above its old value.
+        """
+        p = self.phases
+        total = p.processes.total
+        held = p.put(active) > 0
+        solved = p.free & ~held
+        content = p.capacity * result
+        liquid = total(float(content[solved].sum()))
+        change = content - p.capacity * np.where(p.free | p.metal, old, 0.0)
+        missing = -total(float(change.sum())) - released / p.scene.lattice.cell_volume
+        if liquid > 0 and abs(missing) <= 1e-6 * liquid:
+            result[solved] *= 1.0 + missing / liquid
+            return
+        metal = total(float(content[p.metal].sum()))
+        lost = -total(float(change[p.metal].sum()))
+        if lost > 0 and abs(missing) <= 1e-3 * lost:
+            result[p.metal] += missing / lost * (old - result)[p.metal]
+        elif missing < 0 and -missing <= 1e-9 * metal:
+            result[p.metal] *= 1.0 + missing / metal
+
+    def release_rate(
+        self, liquid: np.ndarray, exchange: Exchange | None, metal: np.ndarray | None
+    ) -> float:
+        """Amount that reaches the refreshed nodes per second, mol/s."""
+        p = self.phases
+        if not p.is_open:
+            return 0.0
+        gain = p.sum(p.liquid_volume * liquid)
+        rate = p.scene.liquid_diffusivity * float((gain * p.capacity)[p.fixed].sum())
+        if exchange is not None and metal is not None:
+            fixed = p.take(np.where(p.fixed, p.capacity, 0.0))
+            rate += float((exchange.to_refreshed(metal) * fixed).sum())
+        return p.processes.total(rate) * p.scene.lattice.cell_volume

@@ -1,0 +1,132 @@
+"""Bi-material peridynamic corrosion: the spatial problem and its steps.
+
+dC_i/dt = sum_j D_ij w_ij c_j (C_j - C_i), with D_ij = D_liq between liquid nodes, D_int g theta_j
+across the interface (g the kinetics' rate, theta_j the liquid node's saturation factor) and 0
+between metal nodes; c_j is the relative volume of a cell (dissertation 2.3.3, 5.2.1).  The form
+is symmetric, so the amount sum_i c_i C_i changes only by what reaches the refreshed nodes.
+
+A metal node exchanges with liquid nodes only, so it is eliminated exactly: each stage solves for
+the liquid alone.  The parts: phases and their arrays (phases), rates (rates), amounts (balance),
+implicit stages (stage), and what a bond across the interface carries (laws).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from peri.corrosion.nodes.rates import InterfaceRates
+from peri.corrosion.nodes.stage import Stage, StageSolver
+from peri.corrosion.scene import CorrosionScene
+from peri.engine.processes import ONE_PROCESS, OneProcess
+
+
+class BiMaterial(InterfaceRates):
+    """The discrete corrosion problem on padded arrays.
+
+    Parameters
+    ----------
+    scene : CorrosionScene
+    solver_tolerance : float
+        Residual norm relative to the sources at which a linear solution is accepted.
+    processes : OneProcess or its like
+        Who holds which block of the lattice; `scene` and all arrays are those of the block.
+    """
+
+    def __init__(
+        self,
+        scene: CorrosionScene | None,
+        solver_tolerance: float = 1e-9,
+        processes: OneProcess = ONE_PROCESS,
+    ) -> None:
+        self._solver = StageSolver(self)
+        super().__init__(scene, solver_tolerance, processes)
+
+    def update_phase(self) -> None:
+        """Recompute what depends on which nodes are metal."""
+        super().update_phase()
+        self.forget()
+
+    def forget(self) -> None:
+        """Drop the preconditioner of earlier stages."""
+        self._solver.forget()
+
+    def volume_loss(self, concentration: np.ndarray) -> float:
+        """See Balance.volume_loss."""
+        return self.balance.volume_loss(concentration)
+
+    def amounts(self, concentration: np.ndarray) -> tuple[float, float]:
+        """See Balance.amounts."""
+        return self.balance.amounts(concentration)
+
+    # --- steps ----------------------------------------------------------------------------
+
+    def implicit_stage(
+        self,
+        old: np.ndarray,
+        tau: float,
+        guess: np.ndarray,
+        theta: np.ndarray | None,
+        volume_loss: float,
+    ) -> Stage:
+        """Solve Y = old + tau F(Y), kinetics and saturation included.
+
+        Parameters
+        ----------
+        old : padded array
+            Right side, mol/m^3.
+        tau : float
+            s.
+        guess : padded array
+            Starting value of Y.
+        theta : padded box array or None
+            Starting value of the saturation factors.
+        volume_loss : float
+            Starting value of V_L.
+
+        Raises
+        ------
+        ConvergenceError
+            When the linear solver or the active set does not settle (a shorter step will).
+        """
+        return self._solver.solve(old, tau, guess, theta, volume_loss)
+
+    def explicit_step(
+        self, old: np.ndarray, step: float, volume_loss: float
+    ) -> tuple[np.ndarray, float, np.ndarray | None]:
+        """One forward Euler step (Eq. 3.10): new concentration, release rate (mol/s), theta.
+
+        Conservative and within the bounds up to the step 1 / fastest_rate(); under
+        complementarity theta_j lets in just what brings node j to C_sat.
+        """
+        scene = self.scene
+        liquid = np.where(self.metal, 0.0, old)
+        gain = self.sum(self.liquid_volume * liquid)
+        transport = scene.liquid_diffusivity * (gain - self.neighbour_liquid * liquid)
+        new = np.where(self.free, old + step * transport, 0.0)
+        theta, metal, state = None, None, None
+        if self.box is not None:
+            state = scene.dissolution.exchange(self, old, np.inf)
+            if scene.saturation == "as_published":
+                full = self.free & (old >= scene.saturation_concentration)
+                state.switch_off(np.where(full, self.capacity, 0.0))
+            theta = (self.box_liquid_volume > 0).astype(float)
+            box_liquid = self.take(liquid)
+            rate, local = self.interface_rate(volume_loss, self.seen_liquid(box_liquid))
+            state.set(theta, rate, local)
+            drawn = rate * state.weight * self.box(state.bonds * box_liquid)
+            state.hold_back(state.old_metal + step * (drawn - state.outflow * state.old_metal))
+            seen = self.box(self.box_metal_volume * state.weight * state.old_metal)
+            inflow = step * rate * (seen - state.seen_metal * box_liquid)
+            inflow = np.where(self.box_free_volume > 0, inflow, 0.0)
+            if scene.saturation == "complementarity":
+                room = np.maximum(scene.saturation_concentration - self.take(new), 0.0)
+                full = inflow > room
+                theta[full] = room[full] / inflow[full]
+            state.set(theta, rate, local)
+            new[self.window] += (theta * inflow)[self.box.interior]
+            drawn = rate * state.weight * self.box(state.bonds * box_liquid)
+            metal = state.old_metal + step * (drawn - state.outflow * state.old_metal)
+            view = new[self.window]
+            view[self.box_metal[self.box.interior]] = metal[self.box_metal]
+            metal = state.old_metal
+        return new, self.balance.release_rate(liquid, state, metal), theta

@@ -1,0 +1,112 @@
+"""How fast the interface of a bi-material problem is: the kinetics on its nodes, and bounds."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from peri.corrosion.kinetics import Exposed
+from peri.corrosion.nodes.balance import Balance
+from peri.corrosion.phases import Phases
+from peri.corrosion.scene import CorrosionScene
+from peri.engine.processes import ONE_PROCESS, OneProcess
+
+
+class InterfaceRates(Phases):
+    """Phases with what their interface carries.
+
+    Parameters
+    ----------
+    scene : CorrosionScene
+    solver_tolerance : float
+        Residual norm relative to the sources at which a linear solution is accepted.
+    processes : OneProcess or its like
+
+    balance : amounts.  base_diffusivity : D_int at zero volume loss, m^2/s.  surface : what
+    surrounds the metal as the kinetics sees it (potential, age), set before a stage: padded box
+    arrays or numbers.
+    """
+
+    def __init__(
+        self,
+        scene: CorrosionScene | None,
+        solver_tolerance: float = 1e-9,
+        processes: OneProcess = ONE_PROCESS,
+    ) -> None:
+        super().__init__(scene, processes)
+        self.tolerance = solver_tolerance
+        self.initial_concentration = self.of_solids([s.concentration for s in self.scene.solids])
+        self.balance = Balance(self)
+        self.base_diffusivity = self.scene.base_interface_diffusivity()
+        self.surface: dict[str, np.ndarray | float] = {}
+
+    def fastest_rate(self) -> float:
+        """Largest row sum of the operator at zero volume loss, 1/s (bound of its spectrum / 2)."""
+        return max(self.fastest_rates())
+
+    def fastest_rates(self, concentration: np.ndarray | None = None) -> tuple[float, float]:
+        """The same of free liquid and of metal apart; both may grow as nodes dissolve.
+
+        concentration : padded array, for kinetics that look at the liquid.
+        """
+        if self._rates is None or not self.scene.one_rate:
+            liquid = np.where(self.free, self.neighbour_liquid, 0.0)
+            rates, in_metal = liquid * self.scene.liquid_diffusivity, 0.0
+            if self.box is not None:
+                known = None
+                if concentration is not None:
+                    known = self.seen_liquid(self.take(np.where(self.metal, 0.0, concentration)))
+                g, local = self.interface_rate(0.0, known)
+                metal = self.box(self.box_metal_volume * local)
+                seen = np.where(self.box_free_volume > 0, metal, 0.0)
+                rates[self.window] += (g * seen)[self.box.interior]
+                seen = (local * self.box(self.box_liquid_volume))[self.box_metal]
+                in_metal = g * float(seen.max(initial=0.0))
+            largest = self.processes.largest
+            self._rates = largest(float(rates.max())), largest(in_metal)
+        return self._rates
+
+    def seen_liquid(self, liquid: np.ndarray) -> np.ndarray | None:
+        """Mean concentration over the bonds of each metal node to liquid, where laws look at it.
+
+        liquid : padded box array.
+        """
+        if "concentration" not in self.scene.needs:
+            return None
+        inflow, bonds = self.box(self.box_liquid_volume * liquid), self.box_neighbour_liquid
+        seeing = self.box_metal & (bonds > 0)
+        return np.divide(inflow, bonds, out=np.zeros_like(bonds), where=seeing)
+
+    def interface_rate(
+        self, volume_loss: float, seen_liquid: np.ndarray | None = None
+    ) -> tuple[float, np.ndarray | float]:
+        """The interface diffusivity, m^2/s, and each metal node's share of it (or 1 for all).
+
+        seen_liquid : as `seen_liquid` gives it (None: clean liquid).
+        """
+        scene = self.scene
+        if scene.one_rate:
+            return self.base_diffusivity * scene.kinetics.rate(Exposed(volume_loss)), 1.0
+        seen = {**self.surface, "phase": self.box_phase}
+        seen["concentration"] = np.zeros(self.box.padded_shape)
+        if seen_liquid is not None:
+            seen["concentration"] = seen_liquid
+        at = Exposed(volume_loss, **{name: seen[name] for name in scene.needs if name in seen})
+        share = np.zeros(self.box.padded_shape)
+        for number, solid in enumerate(scene.solids, 1):
+            rate = scene.dissolution.share_of(solid, scene) * scene.law_of(solid).rate(at)
+            share = np.where(self.box_phase == number, rate, share)
+        return self.base_diffusivity, share
+
+    def metal_rates(self) -> np.ndarray:
+        """lambda_i = D_int sum_{liquid j} w_ij c_j at zero loss, 1/s, on the lattice.
+
+        In clean liquid (the well-stirred limit) a metal node obeys C' = -lambda g(V_L) C.
+        """
+        return self.base_diffusivity * self.metal_bond_sums()
+
+    def metal_bond_sums(self) -> np.ndarray:
+        """sum_{liquid j} w_ij c_j of every metal node, 1/m^2, on the lattice."""
+        if self.box is None:
+            return np.zeros(self.scene.lattice.shape)
+        sums = self.box(self.box_liquid_volume)
+        return self.sum.crop(self.put(np.where(self.box_metal, sums, 0.0)))

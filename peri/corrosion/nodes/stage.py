@@ -1,0 +1,291 @@
+"""One implicit stage of a bi-material problem: liquid, metal, kinetics and saturation together.
+
+A stage goes in rounds: settle the rate with the volume loss that it causes, solve the liquid
+(the metal is eliminated exactly), and see which liquid nodes have to be held at C_sat.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from peri.corrosion.interface.exchange import Exchange, FixedPoint, saturation
+from peri.corrosion.nodes.rates import InterfaceRates
+from peri.engine import kernels
+from peri.engine.march.problem import BoundsError
+from peri.engine.solvers import ConvergenceError, DiffusionSystem
+
+_MAXIMUM_ROUNDS = 60
+_LOSS_TOLERANCE = 1e-9
+"""How well a stage knows its volume loss."""
+_DRIFT = 1e-7
+"""How well a stage has to know the liquid that the kinetics sees, relative."""
+_ROUND_REDUCTION = 0.1
+
+
+@dataclass
+class Stage:
+    """Solution of one implicit stage Y = old + tau F(Y)."""
+
+    concentration: np.ndarray
+    theta: np.ndarray | None
+    volume_loss: float
+    release_rate: float
+    iterations: int
+    rounds: int
+    emptied: np.ndarray | None = None
+    """Metal nodes that are empty (laws that empty them); what they hold is their liquid's."""
+    late: float = 0.0
+    """Share of the interface flux whose time is an estimate (Exchange.late)."""
+
+
+@dataclass
+class _Right:
+    """What a stage starts from, on padded arrays of the lattice: right side and step (s)."""
+
+    old: np.ndarray
+    tau: float
+
+
+class StageSolver:
+    """Solves stages of the problem `d`; keeps one preconditioner between the rounds."""
+
+    def __init__(self, d: InterfaceRates) -> None:
+        self.d = d
+        self._system: DiffusionSystem | None = None
+        self._system_key: tuple[float, bytes | None] | None = None
+
+    def forget(self) -> None:
+        """Drop the preconditioner of earlier stages."""
+        self._system = None
+
+    def solve(
+        self,
+        old: np.ndarray,
+        tau: float,
+        guess: np.ndarray,
+        theta: np.ndarray | None,
+        volume_loss: float,
+    ) -> Stage:
+        """See BiMaterial.implicit_stage."""
+        d, right = self.d, _Right(old, tau)
+        y = np.where(d.free, guess, 0.0)
+        if d.box is None:
+            iterations, _ = self._solve_liquid(y, right, None, None)
+            return Stage(y, None, 0.0, d.balance.release_rate(y, None, None), iterations, 1)
+        exchange = d.scene.dissolution.exchange(d, old, tau)
+        saturated = d.scene.saturation_concentration
+        if d.scene.saturation == "as_published":
+            exchange.switch_off(np.where(d.free & (old >= saturated), d.capacity, 0.0))
+        if d.scene.saturation != "complementarity":
+            theta = None
+        held = _Held(self, right, exchange, theta)
+        iterations, rounds, settled, seen = 0, 0, False, FixedPoint(d.processes)
+        while rounds < _MAXIMUM_ROUNDS:
+            rounds += 1
+            liquid = d.take(y)
+            guessed, drift = seen.settle(d.seen_liquid(liquid))
+            volume_loss = self._settle_rate(exchange, held.theta, volume_loss, liquid, guessed)
+            view = y[d.window]
+            view[held.active[d.box.interior]] = saturated
+            count, solved = self._solve_liquid(y, right, exchange, held.active)
+            iterations += count
+            metal = exchange.metal_concentration(d.take(y))
+            loss = d.balance.loss_of(metal)
+            settled = solved and abs(loss - volume_loss) <= _LOSS_TOLERANCE and drift <= _DRIFT
+            volume_loss = loss
+            if d.scene.saturation == "complementarity":
+                settled, stalled = held.next(y, metal, loss, settled)
+                if settled or stalled:
+                    break
+            elif exchange.hold_back(metal):
+                settled = False
+            elif settled:
+                break
+        if not settled:
+            raise ConvergenceError(
+                f"saturation: the active set did not settle in {rounds} rounds at a "
+                f"step of {tau:.3g} s"
+            )
+        release = d.balance.release_rate(y, exchange, metal)
+        # What an active node takes in is what the metal loses, to round-off.
+        if d.processes.any(held.active.any()):
+            metal = exchange.correct(metal, held.change(), saturated)
+            volume_loss, held.theta = d.balance.loss_of(metal), held.bonds_on
+        result = np.where(d.free, y, 0.0)
+        view = result[d.window]
+        view[d.box_metal[d.box.interior]] = (metal + exchange.gained)[d.box_metal]
+        d.balance.close(result, old, tau * release, held.active)
+        emptied = None if exchange.emptied is None else d.put(exchange.emptied) > 0
+        return Stage(
+            result, held.theta, volume_loss, release, iterations, rounds, emptied, exchange.late()
+        )
+
+    # --- kinetics -------------------------------------------------------------------------
+
+    def _settle_rate(
+        self,
+        exchange: Exchange,
+        theta: np.ndarray,
+        volume_loss: float,
+        liquid: np.ndarray,
+        seen_liquid: np.ndarray | None,
+    ) -> float:
+        """V_L that agrees with the rate it causes, for given liquid concentrations.
+
+        The metal's loss falls as V_L grows in the kinetics, so there is one such V_L in [0, 1]: a
+        secant kept inside its bracket.  (The plain fixed point jumps between two wrong values
+        where a step dissolves more than about l.)
+        """
+        d, low, high = self.d, 0.0, 1.0
+        last: tuple[float, float] | None = None
+        for _ in range(_MAXIMUM_ROUNDS):
+            exchange.set(theta, *d.interface_rate(volume_loss, seen_liquid))
+            loss = d.balance.loss_of(exchange.metal_concentration(liquid))
+            excess = loss - volume_loss
+            if abs(excess) <= 0.1 * _LOSS_TOLERANCE:
+                break
+            low, high = (volume_loss, high) if excess > 0 else (low, volume_loss)
+            trial = loss
+            if last is not None and excess != last[1]:
+                trial = volume_loss - excess * (volume_loss - last[0]) / (excess - last[1])
+            last = volume_loss, excess
+            volume_loss = trial if low < trial < high else 0.5 * (low + high)
+        return volume_loss
+
+    # --- liquid ---------------------------------------------------------------------------
+
+    def _solve_liquid(
+        self, y: np.ndarray, right: _Right, exchange: Exchange | None, active: np.ndarray | None
+    ) -> tuple[int, bool]:
+        """Improve the liquid concentrations y in place; active nodes keep their value.
+
+        While there are active nodes a round only has to shrink the residual it starts with: the
+        next round changes the right side again.  Returns the iterations and whether the
+        tolerance itself was reached.
+        """
+        d, tau = self.d, right.tau
+        held = active is not None and d.processes.any(active.any())
+        system = self._linear_system(tau, exchange, active)
+        r = d.sum(d.liquid_volume * y)
+        squares = kernels.stage_residual(
+            y, right.old, r, system.weight, system.diagonal, d.scene.liquid_diffusivity, tau,
+            d.sum.low, d.sum.high, d.sum.reach,
+        )  # fmt: skip
+        scale = math.sqrt(d.processes.total(float(squares.sum()))) / tau
+        if exchange is not None:
+            source = exchange.liquid_gain(d.take(y))
+            scale += self._norm(source)
+            source *= d.take(system.mask)
+            r[d.window] += source[d.box.interior]
+        wanted = d.tolerance * scale
+        enough = max(wanted, _ROUND_REDUCTION * self._norm(r)) if held else wanted
+        return system.solve(y, r, enough), enough <= wanted
+
+    def _norm(self, values: np.ndarray) -> float:
+        squares = float(kernels.inner_product(values, values).sum())
+        return math.sqrt(self.d.processes.total(squares))
+
+    def _linear_system(
+        self, tau: float, exchange: Exchange | None, active: np.ndarray | None
+    ) -> DiffusionSystem:
+        p, d = self.d, self.d.scene.liquid_diffusivity
+        key = (tau, None if active is None else active.tobytes())
+        if p.processes.any(self._system is None or self._system_key != key):
+            weight = p.free_volume.copy()
+            if active is not None:
+                weight[p.window][active[p.box.interior]] = 0.0
+            diagonal = 1.0 / tau + d * p.neighbour_liquid
+            sink = weight * (diagonal - d * p.sum(weight))
+            extra_diagonal = None
+            if exchange is not None:
+                extra_diagonal = (weight > 0) * p.put(exchange.diagonal())
+                sink = sink + extra_diagonal * exchange.storage_share
+            self._system = DiffusionSystem(
+                p.sum, weight, diagonal, d, sink, extra_diagonal=extra_diagonal
+            )
+            self._system_key = key
+        system = self._system
+        assert system is not None
+        coupled = exchange is not None and exchange.couples
+        system.extra = self._coupling(system, exchange) if coupled else None
+        return system
+
+    def _coupling(
+        self, system: DiffusionSystem, exchange: Exchange
+    ) -> Callable[[np.ndarray, np.ndarray], float]:
+        """The metal's share of the liquid's matrix (it is eliminated), as an in-place update."""
+        d = self.d
+        unknown = d.take(system.weight)
+
+        def add(u: np.ndarray, y: np.ndarray) -> float:
+            box_u = np.where(unknown > 0, d.take(u), 0.0)
+            through = exchange.through_metal(box_u)
+            share = exchange.diagonal() * (unknown > 0) * box_u
+            share -= exchange.theta * unknown * exchange.rate * through
+            y[d.window] += share[d.box.interior]
+            return float(kernels.inner_product(share, box_u).sum())
+
+        return add
+
+
+class _Held:
+    """Liquid nodes held at C_sat and the saturation factors of all, round by round.
+
+    theta : factors that the last solution used.  active : nodes that it held.
+    """
+
+    def __init__(
+        self, solver: StageSolver, right: _Right, exchange: Exchange, theta: np.ndarray | None
+    ) -> None:
+        self.d, self.right, self.exchange = solver.d, right, exchange
+        if theta is None:
+            theta = (self.d.box_liquid_volume > 0).astype(float)
+        self.theta = self.bonds_on = self._wanted = theta
+        self.active = (theta < 1.0) & (self.d.box_free_volume > 0)
+        self._stall = saturation.Stall()
+
+    def next(
+        self, y: np.ndarray, metal: np.ndarray, loss: float, settled: bool
+    ) -> tuple[bool, bool]:
+        """The next set and factors; whether the stage is settled with the present ones, or stalls.
+
+        settled : whether everything else in the stage is.
+        """
+        d, tau, total = self.d, self.right.tau, self.d.processes.total
+        needed, available = self._balance(y, metal)
+        new_active, wanted = saturation.next_active_set(
+            self.active, d.take(y), needed, available, d.scene.saturation_concentration
+        )
+        self._wanted = np.where(d.box_liquid_volume > 0, wanted, 0.0)
+        self.bonds_on = np.maximum(self._wanted, 0.0)
+        off = (np.abs(self.bonds_on - self.theta) * available)[self.active]
+        mismatch = tau * total(float(off.sum()))
+        changed = d.processes.any(not np.array_equal(new_active, self.active))
+        settled &= not changed and mismatch <= 1e-9 * d.balance.metal_scale * max(1e-3, loss)
+        if settled:
+            # Judged by its amount: `available` grows with D_int without limit.
+            shortfall = total(-float(needed[self.active].clip(max=0.0).sum()))
+            if tau * shortfall > 1e-9 * d.balance.metal_scale:
+                raise BoundsError("saturation: the stage would need a negative inflow")
+            return True, False
+        if self._stall.after(int(total(int((new_active != self.active).sum()))), mismatch):
+            return False, True
+        self.active, self.theta = new_active, self.bonds_on
+        return False, False
+
+    def change(self) -> np.ndarray:
+        """What the active nodes' factors still want to change by."""
+        return np.where(self.active, self._wanted - self.theta, 0.0)
+
+    def _balance(self, y: np.ndarray, metal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Inflow that each active node needs to stay at C_sat, and what theta = 1 would bring."""
+        d, diffusivity = self.d, self.d.scene.liquid_diffusivity
+        available = self.exchange.offered(metal, d.scene.saturation_concentration)
+        gain, here = d.take(d.near(d.liquid_volume * y)), d.take(y)
+        spread = diffusivity * (gain - d.box_neighbour_liquid * here)
+        needed = (here - d.take(self.right.old)) / self.right.tau - spread
+        return np.where(self.active, d.box_free_volume * needed, 0.0), np.maximum(available, 0.0)

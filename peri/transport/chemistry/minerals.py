@@ -1,0 +1,220 @@
+"""Minerals in a moving liquid: amount >= 0 against the saturation index, in one system with flux.
+
+A mineral is one scalar field, the extent G with A G = c r: what its growth r (mol/m3/s) takes out
+of the liquid changes Pi_e by -nu_e G everywhere.
+
+equilibrium : r + M/tau >= 0 and ln(Omega) <= 0, one of them zero at every node.  The G at which a
+    node is exactly saturated, all else given, is a local convex problem (speciation.saturate); with
+    it the condition is an obstacle problem G >= psi for A, whose matrix has the sign pattern of an
+    M-matrix: the primal-dual active set finds its solution monotonically, without damping.
+kinetic : r = k S ln(Omega) where the mineral is there or ln(Omega) exceeds its nucleation value,
+    not below -M/tau (no more dissolves than is there).  Newton's method with A + k S H, H the
+    derivative -d ln(Omega)/dG = nu^T (nu^T D C nu)^-1 nu > 0, halved while the residual grows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from peri.engine.solvers import ConvergenceError, DiffusionSystem
+from peri.transport.chemistry.composition import Composer
+from peri.transport.chemistry.speciation import saturate
+from peri.transport.liquid import LiquidSpace, LiquidState
+
+_MAXIMUM_ROUNDS = 100
+_ROUND_OFF = 10.0
+"""Where Newton's steps stop to help, a residual of this many times the tolerance will do."""
+_SATURATED = 1e-9
+"""ln(Omega) at which a node counts as saturated."""
+
+
+@dataclass(frozen=True)
+class MineralField:
+    """A mineral on the nodes of a liquid.
+
+    nu : (E,) components set free per mole;  constant : c of ln(Omega) = nu . m + c
+    region : (n,) bool, where it may form
+    rate : k S, mol/m3/s per unit of ln(Omega); infinite in equilibrium
+    ln_nucleation : ln(Omega) to be passed where there is none
+    """
+
+    name: str
+    nu: np.ndarray
+    constant: float
+    region: np.ndarray
+    rate: float
+    ln_nucleation: float
+
+    @property
+    def in_equilibrium(self) -> bool:
+        """Whether the mineral follows the saturation index at once."""
+        return not np.isfinite(self.rate)
+
+    def ln_omega(self, m: np.ndarray) -> np.ndarray:
+        """ln(Omega), (n,), from the free components (E, n)."""
+        return self.nu @ m + self.constant
+
+
+class ReactingLiquid(Protocol):
+    """What a mineral sees of the liquid that it forms in."""
+
+    space: LiquidSpace
+    composer: Composer
+    b: np.ndarray
+    minerals: Sequence[MineralField]
+    plain: DiffusionSystem
+    relative: float
+
+    def target(self, state: LiquidState) -> np.ndarray: ...
+
+    def compose(self, state: LiquidState) -> None: ...
+
+
+def solve_mineral(
+    liquid: ReactingLiquid,
+    state: LiquidState,
+    number: int,
+    lowest: np.ndarray,
+    there: np.ndarray,
+    absolute: float,
+) -> int:
+    """Bring one mineral in balance with the liquid, everything else given; in place.
+
+    lowest : (n,) M/tau, the fastest that it can dissolve, mol/m3/s
+    there : (n,) M, mol/m3
+
+    Returns the iterations of the linear solver.  Raises ConvergenceError.
+    """
+    if liquid.minerals[number].in_equilibrium:
+        return _equilibrium(liquid, state, number, lowest, absolute)
+    return _kinetic(liquid, state, number, lowest, there, absolute)
+
+
+def _equilibrium(
+    liquid: ReactingLiquid,
+    state: LiquidState,
+    number: int,
+    lowest: np.ndarray,
+    absolute: float,
+) -> int:
+    space, mineral = liquid.space, liquid.minerals[number]
+    absolute = max(absolute, 0.1 * liquid.relative * float(np.linalg.norm(space.volume * lowest)))
+    base = liquid.target(state) + mineral.nu[:, None] * state.extents[number]
+    active = state.active[number]
+    obstacle = np.full(space.n, np.nan)
+    iterations = 0
+    for _ in range(_MAXIMUM_ROUNDS):
+        new = active & np.isnan(obstacle)
+        if new.any():
+            m = state.ln_component[:, new].copy()
+            obstacle[new] = saturate(
+                liquid.composer, base[:, new], liquid.b, m,
+                mineral.nu[None, :], np.full((1, int(new.sum())), mineral.constant),
+            )[0]  # fmt: skip
+        extent = np.where(active, obstacle, state.extents[number])
+        if active.any() or lowest.any() or state.extents[number].any():
+            system = space.system(active) if active.any() else liquid.plain
+            extent, used = space.solve(system, -space.volume * lowest, extent, 0.1 * absolute)
+            iterations += used
+        state.extents[number] = extent
+        liquid.compose(state)
+        growth = space.outflow(extent) / space.volume
+        ln_omega = mineral.ln_omega(state.ln_component)
+        stays = active & (growth + lowest >= 0)
+        joins = ~active & mineral.region & (ln_omega > _SATURATED)
+        updated = stays | joins
+        settled = (updated == active).all()
+        active = updated
+        if settled:
+            state.active[number] = active
+            # Off the active set the growth is what the linear solver was given.
+            state.rates[number] = np.where(active, growth, -lowest)
+            return iterations
+    raise ConvergenceError(
+        f"{mineral.name}: the nodes where it forms still change after {_MAXIMUM_ROUNDS} rounds"
+    )
+
+
+def _kinetic(
+    liquid: ReactingLiquid,
+    state: LiquidState,
+    number: int,
+    lowest: np.ndarray,
+    there: np.ndarray,
+    absolute: float,
+) -> int:
+    space, mineral = liquid.space, liquid.minerals[number]
+    start = mineral.ln_omega(state.ln_component)
+    # Open where the threshold is passed, and as long as the mineral is there.
+    state.active[number] |= mineral.region & (start > mineral.ln_nucleation)
+    is_open = mineral.region & (state.active[number] | (there > 0))
+    iterations = 0
+
+    def rate(ln_omega: np.ndarray) -> np.ndarray:
+        return np.where(is_open, np.maximum(mineral.rate * ln_omega, -lowest), 0.0)
+
+    growth = rate(start)
+    residual = space.volume * growth - space.outflow(state.extents[number])
+    norm = float(np.linalg.norm(residual))
+    for _ in range(_MAXIMUM_ROUNDS):
+        moved = float(np.linalg.norm(space.volume * growth))
+        absolute = max(absolute, 0.1 * liquid.relative * moved)
+        if norm <= absolute:
+            state.rates[number] = growth
+            return iterations
+        ln_omega = mineral.ln_omega(state.ln_component)
+        moving = is_open & (mineral.rate * ln_omega > -lowest)
+        sink = np.zeros(space.n)
+        sink[moving] = mineral.rate * _sensitivity(liquid, state, mineral.nu, moving)
+        step, used = space.solve(
+            space.system(sink=sink), residual, np.zeros(space.n),
+            max(1e-3 * norm, 0.1 * absolute),
+        )  # fmt: skip
+        iterations += used
+        before, old_m = state.extents[number].copy(), state.ln_component.copy()
+        share = 1.0
+        while True:
+            state.extents[number] = before + share * step
+            state.ln_component[:] = old_m
+            try:
+                liquid.compose(state)
+                growth = rate(mineral.ln_omega(state.ln_component))
+                residual = space.volume * growth - space.outflow(state.extents[number])
+                new_norm = float(np.linalg.norm(residual))
+            except ArithmeticError:
+                new_norm = np.inf
+            if new_norm < (1 - 1e-4 * share) * norm or new_norm <= absolute:
+                break
+            share *= 0.5
+            if share < 1e-6 and norm <= _ROUND_OFF * absolute:
+                # Nothing but round-off is left.
+                state.extents[number], state.ln_component[:] = before, old_m
+                liquid.compose(state)
+                state.rates[number] = rate(mineral.ln_omega(state.ln_component))
+                return iterations
+            if share < 1e-6:
+                raise ConvergenceError(
+                    f"{mineral.name}: no step along Newton's direction lowers the residual "
+                    f"{norm:.2g}, {absolute:.2g} wanted"
+                )
+        norm = new_norm
+    raise ConvergenceError(
+        f"{mineral.name}: residual {norm:.2g} after {_MAXIMUM_ROUNDS} Newton steps, "
+        f"{absolute:.2g} wanted"
+    )
+
+
+def _sensitivity(
+    liquid: ReactingLiquid, state: LiquidState, nu: np.ndarray, nodes: np.ndarray
+) -> np.ndarray:
+    """nu^T (nu^T diag(D C) nu)^-1 nu at some nodes."""
+    matrix = liquid.composer.hessian(state.concentration[:, nodes])
+    scale = 1.0 / np.sqrt(np.einsum("nee->ne", matrix))
+    scaled = matrix * scale[:, :, None] * scale[:, None, :]
+    right = scale * nu
+    solved = np.linalg.solve(scaled, right[:, :, None])[:, :, 0]
+    return np.einsum("ne,ne->n", right, solved)
