@@ -46,7 +46,7 @@ def _write_meshio(state: CorrodedState, path: Path) -> list[Path]:
 
 
 def write_exodus(state: CorrodedState, path: Path) -> list[Path]:
-    """Exodus II (m) by VTK: one block of tetrahedra; the time of its one step is the immersion [s]."""
+    """Exodus II (m) by VTK: one block of tetrahedra; its one step stands at the immersion [s]."""
     import pyvista
     from vtkmodules.vtkCommonDataModel import vtkDataObject
     from vtkmodules.vtkIOExodus import vtkExodusIIWriter

@@ -431,9 +431,7 @@ def _excess(points: Array, depth: Array, side: _Side, kernel: tuple[float, float
     return out
 
 
-def _slices(
-    depth: Array, inward: Array, size: Array, volume: Array
-) -> tuple[Array, Array, Array]:
+def _slices(depth: Array, inward: Array, size: Array, volume: Array) -> tuple[Array, Array, Array]:
     """Each part's metal in slices, volume and depth (n, k), and its mean depth (n,)."""
     width = np.abs(inward) * size
     half = 0.5 * width.sum(axis=1)
