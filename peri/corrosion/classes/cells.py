@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from peri.corrosion.interface.exchange import saturation
+from peri.corrosion.interface import saturation
 from peri.corrosion.kinetics import Exposed
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.influence import closed_constant, closed_strength

@@ -9,7 +9,8 @@ import math
 
 import numpy as np
 
-from peri.corrosion.interface.exchange import Exchange, saturation
+from peri.corrosion.interface import saturation
+from peri.corrosion.interface.exchange import Exchange
 from peri.corrosion.laws import InterfaceLaw
 from peri.corrosion.metal.solids import Solid
 from peri.corrosion.phases import Phases

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from peri.corrosion.interface.exchange import Exchange, FixedPoint, saturation
+from peri.corrosion.interface import saturation
+from peri.corrosion.interface.exchange import Exchange, FixedPoint
 from peri.corrosion.nodes.rates import InterfaceRates
 from peri.engine import kernels
 from peri.engine.march.problem import BoundsError
