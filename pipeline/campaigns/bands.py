@@ -1,4 +1,4 @@
-"""`perilife run --samples N`: bands of volume loss and strength from samples of the constants.
+"""`perilife run --samples N`: bands of volume loss and strength, and what else makes them unsure.
 
 In clean liquid V_L of each sample is a quadrature, and its strength a point of one curve that a
 few tests give; where the liquid counts neither holds and the run is refused.
@@ -6,6 +6,8 @@ few tests give; where the liquid counts neither holds and the run is refused.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +16,13 @@ from numpy.typing import NDArray
 import perilife_data
 from pipeline.calibration.models import Implant, ReducedModel, liquid_omission, with_constants
 from pipeline.calibration.posterior import band
+from pipeline.calibration.strength_curve import StrengthCurve
+from pipeline.campaigns.doubts import (
+    CANDIDATES,
+    OtherAssumptions,
+    next_measurements,
+    shares_of_constants,
+)
 from pipeline.campaigns.strength import (
     CURVE_FOLDER,
     DEFAULT_TOLERANCE,
@@ -23,6 +32,7 @@ from pipeline.campaigns.strength import (
 )
 from pipeline.life_cycle import LifeCycle
 from pipeline.record.bands import BANDS_FILE, BandRow, write_bands
+from pipeline.record.doubts import DOUBTS_FILE, HoldDoubts, Source, write_doubts
 from pipeline.record.progress import Progress
 from pipeline.record.run_folder import StageRecord
 from pipeline.record.stage_hashes import pull_hash
@@ -34,8 +44,10 @@ from pipeline.stages.geometry import read_surface
 Array = NDArray[np.float64]
 
 
-REVISION = 2
-"""Of what bands.csv holds: raised with every change of it."""
+REVISION = 3
+"""Of what bands.csv and doubts.json hold: raised with every change of them."""
+
+DOUBTS_FOLDER = "other-assumptions"
 
 BEYOND = 0.025
 """Share of the samples that may go beyond the bound of clean liquid: half of a band's tail."""
@@ -71,6 +83,85 @@ def samples_of(scene: Scene, alloy: str, count: int) -> Samples:
     return Samples(calibrations[alloy].parameters, rows[chosen])
 
 
+def sampled_losses(
+    scene: Scene, alloy: str, implant: Implant, samples: Samples, seconds: Sequence[float]
+) -> Array:
+    """V_L in clean liquid of every sample at every time (n, nt)."""
+    model = ReducedModel(scene, alloy, implant, samples.names)
+    return np.array([model(np.array(seconds), np.log(row))[0] for row in samples.values])
+
+
+@dataclass(frozen=True)
+class Banded:
+    """One alloy with its samples: V_L (n, nt) at the scene's times, a strength curve per hold."""
+
+    scene: Scene
+    alloy: str
+    implant: Implant
+    samples: Samples
+    losses: Array
+    curves: dict[str, StrengthCurve]
+
+    def left(self, hold: str) -> Array:
+        """Strength left of every sample at every time (n, nt)."""
+        return self.curves[hold](self.losses) / self.curves[hold].strengths[0]
+
+    def rows(self) -> list[BandRow]:
+        """Bands in each way of holding at the scene's times after zero."""
+        times, rows = self.scene.with_intact(), []
+        rates = degradation_rate(self.losses, [m.seconds for m in times], self.implant.solid)
+        for hold, curve in self.curves.items():
+            bands = [band(values).T for values in (self.losses, rates, self.left(hold))]
+            rows += [
+                BandRow(
+                    self.alloy,
+                    hold,
+                    moment.days,
+                    *(tuple(map(float, values)) for values in found),
+                    len(self.losses),
+                    curve.error(),
+                )
+                for moment, *found in zip(times, *bands, strict=True)
+                if moment in self.scene.immersion and moment.seconds > 0
+            ]
+        return rows
+
+    def doubts(
+        self, hold: str, own: SummaryRow, others: tuple[Source, ...], scatter: float
+    ) -> HoldDoubts:
+        """What the samples say of the last time, beside other sources."""
+        curve, left = self.curves[hold], self.left(hold)[:, -1]
+        low, _, high = map(float, band(left))
+        count = len(self.losses)
+        measured = Source(
+            "measurement and constants", float(left.std()), low, high, f"{count} samples"
+        )
+        error = curve.error()
+        between = Source(
+            "strength curve", error / np.sqrt(3.0), None, None,
+            f"a test left out of {len(curve.losses)} errs by {100 * error:.2g} %-points at most",
+        )  # fmt: skip
+        names = self.samples.names
+        shares = shares_of_constants(np.log(self.samples.values), left)
+        weeks = [604800.0 * week for week in CANDIDATES]
+        candidates = sampled_losses(self.scene, self.alloy, self.implant, self.samples, weeks)
+        now, after = next_measurements(candidates, self.losses[:, -1], left, scatter)
+        inside = float(np.clip(own.volume_loss, *curve.losses[[0, -1]]))
+        return HoldDoubts(
+            alloy=self.alloy,
+            hold=hold,
+            immersion_days=own.immersion_days,
+            volume_loss=own.volume_loss,
+            strength_left=own.strength_ratio,
+            slope=float(curve.slope([inside])[0] / curve.strengths[0]),
+            sources=(measured, between, *others),
+            constants=dict(zip(names, map(float, shares), strict=True)),
+            now=now,
+            after=after,
+            scatter=scatter,
+        )
+
+
 class BandedLifeCycle(LifeCycle):
     """A life cycle that adds bands before its report.
 
@@ -96,7 +187,7 @@ class BandedLifeCycle(LifeCycle):
         return super().report(again)
 
     def bands(self) -> StageRecord:
-        """bands.csv of all alloys."""
+        """bands.csv and doubts.json of all alloys."""
         last = self.scene.with_intact()[-1]
         parts = [
             [pull_hash(self.scene, a.name, last, hold) for hold in self.scene.holds]
@@ -108,21 +199,24 @@ class BandedLifeCycle(LifeCycle):
         def work() -> tuple[list[Path], dict[str, object]]:
             place = self.folder.geometry
             implant = Implant(self.scene, read_surface(place), place)
-            rows, numbers = [], {}
+            rows, doubts, numbers = [], [], {}
             for alloy in self.scene.alloys:
-                found, tests = self._bands_of(alloy.name, implant)
-                rows += found
+                banded = self._bands_of(alloy.name, implant)
+                rows += banded.rows()
+                doubts += self._doubts_of(banded)
+                tests = {hold: len(curve.losses) for hold, curve in banded.curves.items()}
                 numbers[alloy.name] = {"tests": tests}
-            path = self.folder.path / BANDS_FILE
-            write_bands(path, rows)
-            return [path], numbers
+            paths = [self.folder.path / name for name in (BANDS_FILE, DOUBTS_FILE)]
+            write_bands(paths[0], rows)
+            write_doubts(paths[1], doubts)
+            return paths, numbers
 
         return self._do("bands", "bands", self.folder.path, inputs, work)
 
-    def _bands_of(self, alloy: str, implant: Implant) -> tuple[list[BandRow], dict[str, int]]:
-        """Rows of one alloy, and how many tests each way of holding took."""
-        samples, times = self.samples[alloy], self.scene.with_intact()
-        losses = self._losses(alloy, implant, samples, max(m.seconds for m in times))
+    def _bands_of(self, alloy: str, implant: Implant) -> Banded:
+        samples = self.samples[alloy]
+        end = max(moment.seconds for moment in self.scene.with_intact())
+        losses = self._losses(alloy, implant, samples, end)
         tests = CurveTests(
             self.scene,
             alloy,
@@ -133,27 +227,37 @@ class BandedLifeCycle(LifeCycle):
             workers=self.workers,
             progress=self.progress,
         )
-        rates = degradation_rate(losses, [m.seconds for m in times], implant.solid)
-        rows, counts = [], {}
-        for hold in self.scene.holds:
-            most = float(losses.max())
-            curve = curve_to(tests, hold.name, most, self.tolerance, self.progress.note)
-            counts[hold.name] = len(curve.losses)
-            ratios = curve(losses) / curve.strengths[0]
-            bands = zip(times, *(band(v).T for v in (losses, rates, ratios)), strict=True)
-            rows += [
-                BandRow(
-                    alloy,
-                    hold.name,
-                    moment.days,
-                    *(tuple(map(float, values)) for values in found),
-                    len(samples.values),
-                    curve.error(),
-                )
-                for moment, *found in bands
-                if moment in self.scene.immersion and moment.seconds > 0
-            ]
-        return rows, counts
+        most = float(losses.max())
+        curves = {
+            hold.name: curve_to(tests, hold.name, most, self.tolerance, self.progress.note)
+            for hold in self.scene.holds
+        }
+        return Banded(self.scene, alloy, implant, samples, losses, curves)
+
+    def _doubts_of(self, banded: Banded) -> list[HoldDoubts]:
+        """The doubts at the last time in each way of holding, other assumptions tested."""
+        alloy, last = banded.alloy, self.scene.with_intact()[-1]
+        if last.seconds == 0:
+            return []
+        own = {
+            row.hold: row
+            for row in self.summarise()
+            if row.alloy == alloy and row.immersion_days == last.days
+        }
+        others = OtherAssumptions(
+            self.scene,
+            alloy,
+            self.folder,
+            self.folder.path / alloy / DOUBTS_FOLDER,
+            ranks=self.ranks,
+            workers=self.workers,
+            progress=self.progress,
+        ).sources({hold: row.strength_ratio for hold, row in own.items()})
+        calibration = perilife_data.load_parameter_set(self.scene.parameter_set).calibrations[alloy]
+        return [
+            banded.doubts(hold, own[hold], tuple(others[hold]), calibration.scatter)
+            for hold in banded.curves
+        ]
 
     def _losses(self, alloy: str, implant: Implant, samples: Samples, end: float) -> Array:
         """V_L of every sample at every time (n, nt), as if all liquid were clean.
@@ -162,8 +266,8 @@ class BandedLifeCycle(LifeCycle):
         beyond it, which the band's ends do not feel; more, and SceneError is raised.
         """
         model = ReducedModel(self.scene, alloy, implant, samples.names)
-        seconds = np.array([moment.seconds for moment in self.scene.with_intact()])
-        losses = np.array([model(seconds, np.log(row))[0] for row in samples.values])
+        seconds = [moment.seconds for moment in self.scene.with_intact()]
+        losses = sampled_losses(self.scene, alloy, implant, samples, seconds)
         at_once = [float(model(np.array([1.0]), np.log(row))[0][0]) for row in samples.values]
         slowest_first = np.argsort(at_once, kind="stable")
 

@@ -102,7 +102,7 @@ class CurveTests:
         ends = dict.fromkeys((moments[0].label, moments[-1].label))
         folder = RunFolder(self.folder / "-".join(ends))
         if self.geometry is not None and not folder.geometry.exists():
-            _take_over(self.geometry, folder.geometry)
+            take_over(self.geometry, folder.geometry)
         cycle = LifeCycle(
             scene, folder, ranks=self.ranks, workers=self.workers, progress=self.progress
         )
@@ -118,7 +118,7 @@ class CurveTests:
         return [float(records[m, asked.name].numbers[f"peak_{reaction}"]) for m in moments]
 
 
-def _take_over(source: Path, target: Path) -> None:
+def take_over(source: Path, target: Path) -> None:
     """The geometry stage of another folder, by hard links where the file system has them."""
     temporary = target.with_name(f".{target.name}.{os.getpid()}")
     shutil.rmtree(temporary, ignore_errors=True)

@@ -126,7 +126,7 @@ def error_estimate(run: RunResults) -> str:
     return f"{_volume_loss_error(run)} {' '.join(_strength_error(run, h) for h in run.scene.holds)}"
 
 
-def _corrosion_error(scene: Scene) -> CorrosionError | None:
+def corrosion_error(scene: Scene) -> CorrosionError | None:
     """What was measured of the preset's lattice and time steps, if the scene uses just these.
 
     Only the reference screw was measured.
@@ -143,7 +143,7 @@ def _corrosion_error(scene: Scene) -> CorrosionError | None:
     return preset.corrosion_error
 
 
-def _tensile_error(scene: Scene, hold: HoldScene) -> TensileError | None:
+def tensile_error(scene: Scene, hold: HoldScene) -> TensileError | None:
     """What was measured of the preset's mesh and increment, if the test uses just these.
 
     Only the shank of the reference screw was measured.
@@ -173,7 +173,7 @@ def _default(settings: object, *names: str) -> bool:
 
 
 def _volume_loss_error(run: RunResults) -> str:
-    known = _corrosion_error(run.scene)
+    known = corrosion_error(run.scene)
     if known is None:
         return (
             "The discretisation error of the volume loss has not been measured for this solid, "
@@ -209,7 +209,7 @@ def _thin_walls(run: RunResults) -> str:
 
 
 def _strength_error(run: RunResults, hold: HoldScene) -> str:
-    known = _tensile_error(run.scene, hold)
+    known = tensile_error(run.scene, hold)
     if run.scene.tensile.load != "axial":
         return (
             "The discretisation error of the strength left has been measured of tensile tests "
@@ -250,14 +250,14 @@ def settings_name(scene: Scene) -> str:
 
 def in_short(run: RunResults, assumed: int) -> str:
     """The doubts in one line, to stand right below the answer."""
-    given, known = run.scene_extras.get("error_estimate"), _corrosion_error(run.scene)
+    given, known = run.scene_extras.get("error_estimate"), corrosion_error(run.scene)
     error = "the discretisation error is not measured yet"
     if given:
         error = str(given)
     elif known is not None:
         most = max(known.of(alloy.name) for alloy in run.scene.alloys)
         error = f"discretisation error of the volume loss up to {percent(most, 1)}"
-        tensile = _tensile_error(run.scene, run.scene.holds[0])
+        tensile = tensile_error(run.scene, run.scene.holds[0])
         if tensile is None:
             error += ", of the strength not measured for these settings"
         else:
@@ -280,7 +280,7 @@ def twice_as_sure(run: RunResults) -> str:
     if not corrosion or not pulls:
         return "The run times needed for an estimate are not in this run."
     corrode, pull = (format_seconds(value) for value in (corrosion, pulls))
-    known = _corrosion_error(run.scene)
+    known = corrosion_error(run.scene)
     if known is None:
         lattice = (
             "Half the lattice spacing means 8 times the nodes and, at the same horizon, 8 times "

@@ -22,6 +22,7 @@ from PIL import Image, features
 
 import perilife_data
 from pipeline.record.bands import BANDS_FILE, BandRow, read_bands
+from pipeline.record.doubts import DOUBTS_FILE, read_doubts
 from pipeline.record.machine import describe_machine, package_versions
 from pipeline.record.run_folder import REPORT_FILE, write_text
 from pipeline.record.run_results import AlloyResult, ImmersionResult, RunResults, read_run
@@ -29,6 +30,7 @@ from pipeline.report import doubts, plots, provenance
 from pipeline.report.ions import ion_section
 from pipeline.report.picture_set import PictureSet, make_pictures, times_shown
 from pipeline.report.pictures import DAMAGE_COLOURS, MAXIMUM_DAMAGE, write_overview
+from pipeline.report.shares import share_tables
 from pipeline.report.wording import (
     duration,
     elsewhere,
@@ -121,6 +123,7 @@ def write_report(run_folder: Path | str) -> Path:
         damage_ramp=_damage_ramp(),
         plots=_plots(run, measured, load, banded),
         bands=[_band_row(row) for row in banded],
+        shares=share_tables(run, read_doubts(run.folder / DOUBTS_FILE)),
         measured=sorted(measured),
         checks=doubts.checks(run),
         error_estimate=doubts.error_estimate(run),

@@ -10,6 +10,7 @@ from pipeline.campaigns.bands import samples_of
 from pipeline.campaigns.strength import CurveTests, clean_until
 from pipeline.cli import main
 from pipeline.record.bands import BandRow, read_bands, write_bands
+from pipeline.record.doubts import read_doubts
 from pipeline.record.summary import read_summary
 from pipeline.scene.resolve import resolve_scene
 from pipeline.scene.scene import SceneError
@@ -113,6 +114,20 @@ def test_bands_of_a_run_hold_its_own_values_and_are_kept(fitted, tmp_path, capsy
     assert bands[3].strength_ratio[1] < 0.8 * bands[1].strength_ratio[1]
     page = (out / "report.html").read_text()
     assert "5 to 95 %" in page and page.count("the layer at the end faces</td>") >= 2
+    doubts = {one.hold: one for one in read_doubts(out / "doubts.json")}
+    for hold, one in doubts.items():
+        sources = {source.name: source for source in one.sources}
+        own = next(row for row in rows if row.hold == hold and row.immersion_days == 84.0)
+        assert one.strength_left == own.strength_ratio and one.slope < -0.5
+        assert sources["hardening data"].low <= own.strength_ratio <= sources["hardening data"].high
+        assert (
+            sources["hardening data"].deviation > 0 and "horizon 125 um" in sources["horizon"].basis
+        )
+        assert all(0.3 < share <= 1 for share in one.constants.values())
+        # a measurement at the end itself leaves least, and never more than there was
+        left = [row.strength_left for row in one.after]
+        assert max(left) <= one.now.strength_left and left[4] < 0.7 * left[0]
+    assert set(doubts) == {"shank", "faces"} and "All doubts side by side" in page
     stamps = {p: p.stat().st_mtime_ns for p in Path(out).rglob("*.stage.json")}
     assert main([*run, "--resume"]) == 0
     assert {p: p.stat().st_mtime_ns for p in Path(out).rglob("*.stage.json")} == stamps
