@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import time as clock
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -35,7 +36,7 @@ from pipeline.calibration.models import (
     marching_executor,
     with_constants,
 )
-from pipeline.calibration.posterior import Posterior, posterior
+from pipeline.calibration.posterior import Posterior, gaussian, posterior
 from pipeline.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -137,11 +138,13 @@ def calibrate(
     implant: Implant | None = None,
     starts: int = STARTS,
     workers: int | None = None,
+    executor: Executor | None = None,
 ) -> Calibrated:
     """Fit an alloy's constants in a scene.
 
     free: names to search, None for all that are not fixed; fix: values of held ones (SI); starts:
-    of the search with the reduced model, a march begins once.
+    of the search with the reduced model, a march begins once; executor: where marches run, so that
+    the model goes on working afterwards (`marching_executor`), otherwise `workers` of its own.
 
     Raises
     ------
@@ -169,7 +172,7 @@ def calibrate(
             omission = liquid_omission(found.scene, alloy, implant, end)
             clean = omission.applied
         if not clean:
-            executor = stack.enter_context(marching_executor(workers))
+            executor = executor or stack.enter_context(marching_executor(workers))
             model = MarchModel(scene, alloy, names, executor)
             found = _fitted(model, scene, alloy, measurements, parameters, 1)
     return Calibrated(
@@ -235,19 +238,9 @@ def _fitted(
         without_effect=without,
         unseen=unseen,
         identified=identified,
-        posterior=sampled or _linear(result, identified),
+        # a grid of marches takes days
+        posterior=sampled or gaussian(result, identified.covariance, 10 * SAMPLES),
         clean=None,
         model=part,
         marches=getattr(model, "marches", 0) + (getattr(part, "marches", 0)),
     )
-
-
-def _linear(result: Fit, identified: Identifiability) -> Posterior:
-    """The Gaussian approximation, cut at the bounds: for marches, a grid of which takes days."""
-    random = np.random.default_rng(0)
-    logs = random.multivariate_normal(result.logs, identified.covariance, 10 * SAMPLES)
-    lower = np.log([p.lower for p in result.parameters])
-    upper = np.log([p.upper for p in result.parameters])
-    inside = ((logs >= lower) & (logs <= upper)).all(axis=1)
-    kept = logs[inside]
-    return Posterior(result.names, kept, np.full(len(kept), 1.0 / len(kept)))

@@ -153,6 +153,16 @@ def _importance(density: _Density, axes: Array, seed: int) -> Posterior:
     return Posterior(density.result.names, logs[kept], weights[kept] / weights[kept].sum())
 
 
+def gaussian(result: Fit, covariance: Array, count: int, seed: int = 0) -> Posterior:
+    """`count` draws of the Gaussian approximation less those beyond the bounds of the search."""
+    random = np.random.default_rng(seed)
+    logs = random.multivariate_normal(result.logs, covariance, count)
+    lower = np.log([p.lower for p in result.parameters])
+    upper = np.log([p.upper for p in result.parameters])
+    kept = logs[((logs >= lower) & (logs <= upper)).all(axis=1)]
+    return Posterior(result.names, kept, np.full(len(kept), 1.0 / len(kept)))
+
+
 def band(values: ArrayLike, weights: Array | None = None, levels=LEVELS) -> Array:
     """Weighted quantiles of samples along the first axis: (n, ...) to (levels, ...)."""
     values = np.asarray(values, float)

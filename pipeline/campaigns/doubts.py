@@ -6,8 +6,9 @@ it.  Other hardening records and other horizons are tests of their own, at the l
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -132,19 +133,20 @@ class OtherAssumptions:
             for n, hold in enumerate(scene.holds)
         }
 
-    def _hardenings(self) -> dict[str, Scene]:
+    def _hardenings(self) -> dict[str, Callable[[], Scene]]:
         own = self.scene.alloys[0].hardening
         names = [n for n in perilife_data.list_hardening(self.alloy) if n != own]
-        return {name: with_hardening(self.scene, [name]) for name in names}
+        return {name: partial(with_hardening, self.scene, [name]) for name in names}
 
-    def _horizons(self) -> dict[str, Scene]:
-        lattice, found = self.scene.lattice, {}
+    def _horizons(self) -> dict[str, Callable[[], Scene]]:
+        lattice = self.scene.lattice
+        found = {}
         for factor in HORIZONS:
             horizon = factor * lattice.horizon
             spacing = min(lattice.spacing, lattice.spacing * factor)
             changed = replace(lattice, spacing=spacing, horizon=horizon)
             name = f"horizon {format_length(horizon)}"
-            found[name] = replace(self.scene, lattice=changed)
+            found[name] = partial(replace, self.scene, lattice=changed)
         return found
 
     def sources(self, own: dict[str, float]) -> dict[str, list[Source]]:
@@ -156,7 +158,7 @@ class OtherAssumptions:
         return {hold: [source[hold] for source in found] for hold in own}
 
     def _source(
-        self, name: str, scenes: dict[str, Scene], own: dict[str, float]
+        self, name: str, scenes: dict[str, Callable[[], Scene]], own: dict[str, float]
     ) -> dict[str, Source]:
         """The range of the strength left over the scenes and the run itself."""
         if not scenes:
@@ -164,9 +166,9 @@ class OtherAssumptions:
             return {hold: Source(name, None, None, None, reason) for hold in own}
         found: dict[str, dict[str, float]] = {}
         failed: dict[str, str] = {}
-        for label, scene in scenes.items():
+        for label, changed in scenes.items():
             try:
-                found[label] = self.left(scene, label.replace(" ", "-"))
+                found[label] = self.left(changed(), label.replace(" ", "-"))
             except (ValueError, OSError, RuntimeError) as error:
                 failed[label] = " ".join(str(error).split())
         sources = {}
