@@ -34,6 +34,7 @@ STUDIES = {
     "boundaries": "what no-flux walls and held layers do to diffusion near them (seconds)",
     "tensile": "error of peak force and strength left against processor time, presets (20 min)",
     "published": "the published tensile outcome beside what pulled end faces give",
+    "calibration": "searches of a fit by evaluations, and surrogates by points (2 min)",
     "life-cycle": "where the error of the strength left comes from, and what less of it costs",
 }
 
@@ -433,6 +434,11 @@ def _study(options: argparse.Namespace) -> int:
         from pipeline.studies.saturation import print_saturation
 
         print_saturation()
+        return 0
+    if options.what == "calibration":
+        from pipeline.studies.calibration import study_calibration
+
+        study_calibration(Path(options.out) if options.out else None)
         return 0
     if options.what == "life-cycle":
         from pipeline.studies.life_cycle import print_study

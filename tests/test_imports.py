@@ -96,7 +96,7 @@ BELOW = {
         "record": {"scene"},
         "stages": {"scene", "geometry", "record"},
         "report": {"scene", "geometry", "record", "stages"},
-        "studies": {"scene", "geometry", "record", "stages"},
+        "studies": {"scene", "geometry", "record", "stages", "calibration"},
         "calibration": {"scene", "geometry", "record", "stages"},
         "export": {"scene", "geometry", "record", "stages"},
         "life_cycle": {"scene", "geometry", "record", "stages", "report"},
