@@ -22,20 +22,35 @@ FIRST = 4
 
 MOST = 12
 
+_NARROWEST = 0.8
+"""Of the largest loss, at which a curve begins at the latest."""
+
 
 @dataclass(frozen=True)
 class StrengthCurve:
     """Strength at volume losses (both (n,), the losses rising), interpolated in between.
 
-    Strengths are those of the intact solid (a force, or 1) where the loss is 0.
+    intact: strength of the intact solid, by default that at the first loss, which then must be 0.
     """
 
     losses: Array
     strengths: Array
+    intact: float | None = None
 
     def __post_init__(self) -> None:
         if len(self.losses) < 3 or not (np.diff(self.losses) > 0).all():
             raise ValueError("losses: a curve needs three volume losses at least, rising")
+        if self.intact is None and self.losses[0] != 0:
+            raise ValueError("intact: it must be given for a curve that does not begin at no loss")
+
+    @property
+    def whole(self) -> float:
+        """Strength of the intact solid."""
+        return float(self.strengths[0]) if self.intact is None else self.intact
+
+    def left(self, losses: ArrayLike) -> Array:
+        """Strength at volume losses over that of the intact solid."""
+        return self(losses) / self.whole
 
     def __call__(self, losses: ArrayLike) -> Array:
         """Strength at volume losses within the curve's range; ValueError outside."""
@@ -62,7 +77,7 @@ class StrengthCurve:
 
         It is that of a curve with one test fewer, so the curve itself is better.
         """
-        return float(np.abs(self.leave_one_out()).max() / self.strengths[0])
+        return float(np.abs(self.leave_one_out()).max() / self.whole)
 
     def loss_at(self, strength: float) -> float:
         """The volume loss at which the strength has fallen to `strength`; NaN where it has not."""
@@ -88,11 +103,14 @@ def strength_curve(
     largest_loss: float,
     tolerance: float = 0.01,
     most: int = MOST,
+    smallest_loss: float = 0.0,
 ) -> StrengthCurve:
     """Test until the leave-one-out error is within the tolerance.
 
     test: volume losses to strengths (several at once, to run side by side); largest_loss: where
-    the curve ends; tolerance: relative to the intact strength.
+    the curve ends; tolerance: relative to the intact strength; smallest_loss: where the curve
+    begins.  Above 0 the intact solid is tested beside the curve, which then spends no tests on
+    what the first damage does: the neck of a bar pulled by its ends moves there at once.
 
     Raises
     ------
@@ -101,10 +119,14 @@ def strength_curve(
     """
     if not 0 < largest_loss <= 1:
         raise ValueError(f"largest volume loss is {largest_loss:g}; it must be above 0, at most 1")
-    losses = list(np.linspace(0.0, largest_loss, FIRST))
-    strengths = list(test(losses))
+    smallest_loss = min(smallest_loss, _NARROWEST * largest_loss)
+    losses = list(np.linspace(smallest_loss, largest_loss, FIRST))
+    intact = [] if smallest_loss == 0 else [0.0]
+    strengths = list(test([*intact, *losses]))
+    whole = float(strengths[0])
+    strengths = strengths[len(intact) :]
     while True:
-        curve = StrengthCurve(np.array(losses), np.array(strengths))
+        curve = StrengthCurve(np.array(losses), np.array(strengths), whole)
         if curve.error() <= tolerance:
             return curve
         if len(losses) >= most:

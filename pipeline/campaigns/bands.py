@@ -44,7 +44,7 @@ from pipeline.stages.geometry import read_surface
 Array = NDArray[np.float64]
 
 
-REVISION = 3
+REVISION = 4
 """Of what bands.csv and doubts.json hold: raised with every change of them."""
 
 DOUBTS_FOLDER = "other-assumptions"
@@ -103,8 +103,11 @@ class Banded:
     curves: dict[str, StrengthCurve]
 
     def left(self, hold: str) -> Array:
-        """Strength left of every sample at every time (n, nt)."""
-        return self.curves[hold](self.losses) / self.curves[hold].strengths[0]
+        """Strength left of every sample at every time (n, nt), 1 before immersion."""
+        curve, out = self.curves[hold], np.ones_like(self.losses)
+        later = [moment.seconds > 0 for moment in self.scene.with_intact()]
+        out[:, later] = curve.left(self.losses[:, later])
+        return out
 
     def rows(self) -> list[BandRow]:
         """Bands in each way of holding at the scene's times after zero."""
@@ -153,7 +156,7 @@ class Banded:
             immersion_days=own.immersion_days,
             volume_loss=own.volume_loss,
             strength_left=own.strength_ratio,
-            slope=float(curve.slope([inside])[0] / curve.strengths[0]),
+            slope=float(curve.slope([inside])[0] / curve.whole),
             sources=(measured, between, *others),
             constants=dict(zip(names, map(float, shares), strict=True)),
             now=now,
@@ -227,11 +230,14 @@ class BandedLifeCycle(LifeCycle):
             workers=self.workers,
             progress=self.progress,
         )
-        most = float(losses.max())
+        later = losses[:, [m.seconds > 0 for m in self.scene.with_intact()]]
         curves = {
-            hold.name: curve_to(tests, hold.name, most, self.tolerance, self.progress.note)
+            hold.name: curve_to(
+                tests, hold.name, float(later.max()), self.tolerance, self.progress.note,
+                smallest_loss=float(later.min()),
+            )
             for hold in self.scene.holds
-        }
+        }  # fmt: skip
         return Banded(self.scene, alloy, implant, samples, losses, curves)
 
     def _doubts_of(self, banded: Banded) -> list[HoldDoubts]:
@@ -303,6 +309,8 @@ def run_with_bands(
 
     for alloy in scene.alloys:
         samples_of(scene, alloy.name, samples)
+    if scene.immersion[-1].seconds == 0:
+        raise SceneError("--samples is given and no immersion time is above 0; one must be")
     with open_run(scene, out, resume) as (folder, solid):
         cycle = BandedLifeCycle(
             scene,

@@ -144,11 +144,24 @@ def curve_to(
     largest_loss: float,
     tolerance: float = DEFAULT_TOLERANCE,
     said: Callable[[str], None] = lambda line: None,
+    smallest_loss: float = 0.0,
 ) -> StrengthCurve:
-    """The curve of peaks from the intact solid to a volume loss, held in one way."""
-    curve = strength_curve(lambda losses: tests.peaks(hold, losses), largest_loss, tolerance)
+    """The curve of peaks between two volume losses, held in one way.
+
+    Raises SceneError where too many tests leave too large an error.
+    """
+    try:
+        curve = strength_curve(
+            lambda losses: tests.peaks(hold, losses),
+            largest_loss,
+            tolerance,
+            smallest_loss=smallest_loss,
+        )
+    except ValueError as error:
+        raise SceneError(f"{error} ({tests.alloy} held by {hold})") from None
     said(
-        f"strength curve of {tests.alloy}, {hold}: {len(curve.losses)} tests to "
-        f"{100 * curve.losses[-1]:.3g} % of the volume, error {100 * curve.error():.2g} %"
+        f"strength curve of {tests.alloy}, {hold}: {len(curve.losses)} tests from "
+        f"{100 * curve.losses[0]:.3g} to {100 * curve.losses[-1]:.3g} % of the volume, error "
+        f"{100 * curve.error():.2g} %"
     )
     return curve

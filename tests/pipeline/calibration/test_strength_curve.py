@@ -39,6 +39,28 @@ def test_tests_are_added_where_the_curve_bends():
     assert spread[0] == spread.min() < 0.2 * spread[-1]
 
 
+def test_a_curve_that_begins_later_spends_no_tests_on_the_first_damage():
+    """A drop of 6 % at once, as of a bar pulled by its end faces."""
+    asked = []
+
+    def bar(losses):
+        asked.append(list(losses))
+        return [500.0 * (1 - 0.06 * min(1.0, (v / 0.01) ** 0.5) - 2.5 * v) for v in losses]
+
+    with pytest.raises(ValueError, match="12 tests leave an error"):
+        strength_curve(bar, 0.3, 0.002)
+    asked.clear()
+    curve = strength_curve(bar, 0.3, 0.002, smallest_loss=0.1)
+    assert asked == [[0.0, *np.linspace(0.1, 0.3, 4)]] and curve.whole == 500.0
+    assert curve.left([0.2]) == pytest.approx([1 - 0.06 - 0.5])
+    with pytest.raises(ValueError, match="range of the strength curve"):
+        curve(0.05)
+    # all at one loss: a curve still has an extent
+    assert strength_curve(bar, 0.3, 0.01, smallest_loss=0.3).losses[0] == pytest.approx(0.24)
+    with pytest.raises(ValueError, match="does not begin at no loss"):
+        StrengthCurve(np.array([0.1, 0.2, 0.3]), np.array([0.9, 0.8, 0.7]))
+
+
 def test_what_no_curve_answers_is_refused():
     curve = StrengthCurve(LOSSES, STRENGTHS)
     with pytest.raises(ValueError, match="range of the strength curve"):

@@ -66,6 +66,10 @@ def test_more_samples_than_the_set_has_are_refused(fitted, tmp_path, capsys):
     run = ["run", "--alloy", "Mg-5Gd", "--immersion", "8w", *PIN, "--parameters", str(fitted)]
     assert main([*run, "--samples", "401", "--out", str(tmp_path / "run")]) == 2
     assert "must be 2 to 400" in capsys.readouterr().err
+    run[run.index("8w")] = "0w"
+    assert main([*run, "--samples", "40", "--out", str(tmp_path / "run")]) == 2
+    assert "no immersion time is above 0" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
 
 
 def test_where_the_liquid_counts_the_curve_is_refused():
@@ -118,8 +122,8 @@ def test_bands_of_a_run_hold_its_own_values_and_are_kept(fitted, tmp_path, capsy
     for hold, one in doubts.items():
         sources = {source.name: source for source in one.sources}
         own = next(row for row in rows if row.hold == hold and row.immersion_days == 84.0)
-        assert one.strength_left == own.strength_ratio and one.slope < -0.5
-        assert sources["hardening data"].low <= own.strength_ratio <= sources["hardening data"].high
+        assert one.strength_left == pytest.approx(own.strength_ratio) and one.slope < -0.5
+        assert sources["hardening data"].low <= one.strength_left <= sources["hardening data"].high
         assert (
             sources["hardening data"].deviation > 0 and "horizon 125 um" in sources["horizon"].basis
         )
