@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from peri.corrosion.classes.problem import CellProblem
 from peri.corrosion.nodes.problem import COLUMNS, CorrosionProblem
 from peri.corrosion.scene import CorrosionScene
-from peri.engine.march.marching import TimeStepping, check_times, march
+from peri.engine.march.marching import March, TimeStepping, check_times, march
 from peri.engine.processes import ONE_PROCESS, OneProcess
 
 HISTORY = ("time", "step", *COLUMNS, "iterations")
@@ -80,11 +81,10 @@ def corrode(
         A ValueError, for a checkpoint of another march or one that cannot be read.
     """
     stepping = stepping or TimeStepping()
-    check_times(times)
     problem = _problem(scene, stepping, solver_tolerance, processes)
-    done = march(
+    done = _march_coated(
         problem,
-        times,
+        check_times(times),
         stepping,
         checkpoint=checkpoint,
         resume=resume,
@@ -97,6 +97,59 @@ def corrode(
     )
     return CorrosionResult(
         scene, done.times, concentration, metal, loss, done.history, done.wall_time
+    )
+
+
+def file_under_coating(checkpoint: Path) -> Path:
+    """Where a march under a coating is kept, beside the checkpoint of what follows."""
+    return checkpoint.with_name(f"coated-{checkpoint.name}")
+
+
+def _march_coated(
+    problem: CorrosionProblem | CellProblem,
+    moments: np.ndarray,
+    stepping: TimeStepping,
+    *,
+    checkpoint: Path | None,
+    progress: Callable[[float, str], None] | None,
+    **options: Any,
+) -> March:
+    """March; under a coating first to its end, then on from there as a march of its own.
+
+    The rate jumps where the coating ends, which no step may straddle and no control of steps
+    foresees.
+    """
+    coating, end = problem.scene.coating, float(moments[-1])
+    if coating is None:
+        return march(
+            problem, moments, stepping, checkpoint=checkpoint, progress=progress, **options
+        )
+    problem.coat(coating.factor)
+    last = min(end, coating.lifetime)
+    under = moments[moments < last]
+
+    def so_far(share: float, text: str) -> None:
+        if progress is not None:
+            progress(share * last / end if end > 0 else 1.0, text)
+
+    first_file = None if checkpoint is None else file_under_coating(checkpoint)
+    first = march(
+        problem, [*under, last], stepping, checkpoint=first_file, progress=so_far, **options
+    )
+    problem.coat(1.0)
+    if end <= coating.lifetime:
+        return first
+    problem.initial = lambda: first.state  # type: ignore[method-assign]
+    rest = march(
+        problem, moments[under.size :], stepping, checkpoint=checkpoint, progress=progress,
+        **options,
+    )  # fmt: skip
+    return March(
+        moments,
+        [*first.outputs[: under.size], *rest.outputs],
+        {n: np.concatenate([v, rest.history[n][1:]]) for n, v in first.history.items()},
+        rest.state,
+        first.wall_time + rest.wall_time,
     )
 
 

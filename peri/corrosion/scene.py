@@ -8,8 +8,10 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from peri.corrosion.choices import BOUNDARIES, FLUX_CALIBRATIONS, SATURATION_MODELS
+from peri.corrosion.coating import Coating
 from peri.corrosion.kinetics import QUANTITIES, ConstantRate, Kinetics
 from peri.corrosion.laws import InterfaceLaw, interface_law
 from peri.corrosion.metal.solids import Solid
@@ -58,6 +60,8 @@ class CorrosionScene:
         D_int w C_solid, until its metal node is empty (corrosion.laws).  A word becomes its law.
     kinetics : Kinetics
         How fast the interface dissolves; see corrosion.kinetics.
+    coating : Coating, optional
+        What holds every interface back until it is gone, with any kinetics.
     kernel_exponent, influence, calibration :
         See influence.diffusion_stencil.
     saturation : {"complementarity", "as_published", "none"}
@@ -96,6 +100,7 @@ class CorrosionScene:
     exposure: CellExposure | None = field(default=None, repr=False)
     solids: tuple[Solid, ...] = ()
     phase: np.ndarray | None = field(default=None, repr=False)
+    coating: Coating | None = None
 
     def __post_init__(self) -> None:
         shape = self.lattice.shape
@@ -220,6 +225,10 @@ class CorrosionScene:
         """C_solid of each node's solid, mol/m^3; 0 off the metal."""
         table = np.array([0.0, *(solid.concentration for solid in self.solids)])
         return table[self.phases()]
+
+    def bare_time(self, times: ArrayLike) -> np.ndarray:
+        """Times (s) as bare metal in clean liquid would need them to be as far; see Coating."""
+        return np.asarray(times, float) if self.coating is None else self.coating.bare_time(times)
 
     def _make_stencil(self) -> Stencil:
         return diffusion_stencil(

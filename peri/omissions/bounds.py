@@ -96,6 +96,9 @@ def least_loss(
         rates = rates * first_rate
         seen = problem.box(problem.box_metal_volume)
         strongest = rate * float(seen[problem.box_liquid_volume > 0].max())
+    if scene.coating is not None:  # what bare metal adds after it comes on top
+        rates, strongest = rates * scene.coating.factor, strongest * scene.coating.factor
+        end_time = min(end_time, scene.coating.lifetime)
     if not rates.max(initial=0.0) > 0:
         return 0.0
     inflow = strongest * scene.solid_concentration

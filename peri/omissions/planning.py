@@ -263,7 +263,8 @@ def _dissolved(scene: CorrosionScene, problem: Discrete, end_time: float) -> tup
         reduced = well_stirred(scene, [end_time], problem=problem)
         return int((scene.metal & ~reduced.metal[-1]).sum()), "metal nodes"
     law, diffusivity = factor_of(scene.kinetics), scene.base_interface_diffusivity()
-    found = ReducedCorrosion.of(scene).volume_loss(np.array([end_time]), diffusivity, law)
+    bare = scene.bare_time([end_time])
+    found = ReducedCorrosion.of(scene).volume_loss(bare, diffusivity, law)
     left = np.exp(-class_bond_sums(scene) * found.exposure[0])
     below = scene.solid_concentration * left < scene.saturation_concentration
     return int(below.sum()), "rate classes"

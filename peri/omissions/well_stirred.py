@@ -51,8 +51,11 @@ def well_stirred(
         problem = problem or BiMaterial(scene)
     reduced = ReducedCorrosion.of(scene, problem)
     moments = np.union1d(np.linspace(0.0, times[-1], 101), times)
+    if scene.coating is not None and scene.coating.lifetime < times[-1]:
+        moments = np.union1d(moments, [scene.coating.lifetime])
     diffusivity = scene.base_interface_diffusivity()
-    found = reduced.volume_loss(moments, diffusivity, factor_of(scene.kinetics))
+    bare = scene.bare_time(moments)
+    found = reduced.volume_loss(bare, diffusivity, factor_of(scene.kinetics))
     asked = np.searchsorted(moments, times)
     solid, saturated = scene.solid_concentration, scene.saturation_concentration
     share = np.array([_share_left(scene, problem, z) for z in found.exposure[asked]])
@@ -117,6 +120,8 @@ def clean_march(
     Valid as there, and while every step of the march was of second order.
     """
     refuse_other_laws(scene)
+    if scene.coating is not None:
+        raise ValueError("coating: steps of a march under one are not repeated; leave it out")
     _, levels, weights, volumes = _classes(scene, problem)
     solid, saturated = scene.solid_concentration, scene.saturation_concentration
     total = volumes.sum() * (solid - saturated)

@@ -205,6 +205,10 @@ class Cells:
         cell = self.scene.lattice.cell_volume
         return cell * float(self.volume @ classes), cell * float((self.free_share * liquid).sum())
 
+    def coat(self, share: float) -> None:
+        """Let the interface carry a share of what it carries bare, from now on."""
+        self.base_diffusivity = share * self.scene.base_interface_diffusivity()
+
     def rate(self, volume_loss: float) -> float:
         """k = D_int g(V_L), m^2/s."""
         return self.base_diffusivity * float(self.scene.kinetics.rate(Exposed(volume_loss)))

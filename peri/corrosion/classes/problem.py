@@ -36,6 +36,10 @@ class CellProblem(FirstOrder):
         self.scene = scene
         self.cells = Cells(scene, solver_tolerance)
 
+    def coat(self, share: float) -> None:
+        """See Cells.coat."""
+        self.cells.coat(share)
+
     def key(self) -> str:
         """Hash of the scene and the solver's tolerance."""
         return fingerprint(self.scene, self.cells.tolerance)

@@ -72,6 +72,10 @@ class CorrosionProblem(FirstOrder):
                 "alone does not have"
             )
 
+    def coat(self, share: float) -> None:
+        """See InterfaceRates.coat."""
+        self.discrete.coat(share)
+
     def key(self) -> str:
         """Hash of the scene and the solver's tolerance."""
         return self.processes.on_root(

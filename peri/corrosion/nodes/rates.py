@@ -39,6 +39,11 @@ class InterfaceRates(Phases):
         self.base_diffusivity = self.scene.base_interface_diffusivity()
         self.surface: dict[str, np.ndarray | float] = {}
 
+    def coat(self, share: float) -> None:
+        """Let the interface carry a share of what it carries bare, from now on."""
+        self.base_diffusivity = share * self.scene.base_interface_diffusivity()
+        self._rates = None
+
     def fastest_rate(self) -> float:
         """Largest row sum of the operator at zero volume loss, 1/s (bound of its spectrum / 2)."""
         return max(self.fastest_rates())
