@@ -137,6 +137,7 @@ class ReducedModel:
         self.scene, self.alloy, self.names = scene, alloy, tuple(names)
         self.reduced = ReducedCorrosion.of(corrosion)
         set_value = scene.alloy(alloy).corrosion.interface_diffusivity
+        self._bare_time = corrosion.bare_time
         self._per_set_value = corrosion.base_interface_diffusivity() / set_value
 
     def keeping(self, names: Sequence[str], held: dict[str, float]) -> ReducedModel:
@@ -160,7 +161,7 @@ class ReducedModel:
         scene = with_constants(self.scene, self.alloy, self._within(values))
         diffusivity = self._per_set_value * scene.alloy(self.alloy).corrosion.interface_diffusivity
         law = rate_law(scene, self.alloy)
-        found = self.reduced.volume_loss(times, diffusivity, factor_of(law))
+        found = self.reduced.volume_loss(self._bare_time(times), diffusivity, factor_of(law))
         jacobian = np.zeros((len(times), len(self.names)))
         for name in self.acting():
             scale = diffusivity if name == "interface_diffusivity" else values[name]

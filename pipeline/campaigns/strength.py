@@ -64,7 +64,7 @@ class CurveTests:
         self.scene = replace(
             scene,
             alloys=(scene.alloy(alloy),),
-            corrosion=replace(scene.corrosion, kinetics="constant"),
+            corrosion=replace(scene.corrosion, kinetics="constant", coating=None),
             ions=None,
         )
         self.implant, self.folder, self.geometry = implant, folder, geometry

@@ -137,7 +137,7 @@ def corrosion_error(scene: Scene) -> CorrosionError | None:
         and _alike(scene.lattice, preset, spacing="spacing", horizon="horizon")
         and _alike(scene.corrosion, preset, rate_change="rate_change")
         and _default(scene.corrosion, "scheme", "step", "saturation", "dissolution")
-        and _default(scene.corrosion, "kinetics", "calibration", "influence")
+        and _default(scene.corrosion, "kinetics", "calibration", "influence", "coating")
     ):
         return None
     return preset.corrosion_error

@@ -52,6 +52,7 @@ _TITLES = {
     "size_bottom": "Edge length at the bottom face",
     "size_top": "Edge length at the top face",
     "kinetics": "Law of the rate",
+    "coating": "Coating",
     "dissolution": "Law of a bond between metal and liquid",
     "step": "Fixed time step",
     "rate_change": "Change of rate per time step",
@@ -151,6 +152,9 @@ def _law_rows(scene: Scene) -> list[ParameterRow]:
             "fitted with a flux in proportion to what the node still holds"
         )
         rows.append(("dissolution", chosen.dissolution, remark))
+    if chosen.coating is not None:
+        remark = "no source gives it; the parameter set was fitted to bare metal"
+        rows.append(("coating", str(chosen.coating), remark))
     return [
         ParameterRow("Corrosion", "", _title(name), "", law, "", "assumed", remark=remark)
         for name, law, remark in rows

@@ -5,6 +5,7 @@ import dataclasses
 from pathlib import Path
 
 from peri.engine.omission import DEFAULT_TOLERANCE
+from pipeline.scene.coating import read_coating
 from pipeline.scene.holding import ALL as HOLDS
 from pipeline.scene.ions import (
     ACTIVITIES,
@@ -86,6 +87,11 @@ def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -
         metavar="LAW",
         help=f"of the rate, with its numbers (SI, ? may be left out): {kinetics_in_words()}; "
         "as tafel:overpotential=0.02,slope=0.1 (volume_loss, l from the parameter set)",
+    )
+    corrosion.add_argument(
+        "--coating",
+        metavar="LAW",
+        help="multiplies the rate for a time: factor=0.1,lifetime=28d (none; always assumed)",
     )
     corrosion.add_argument(
         "--dissolution",
@@ -203,6 +209,8 @@ def scene_from_options(options: argparse.Namespace) -> Scene:
         rate_change="rate_change",
         tolerance="tolerance",
     )
+    if options.coating is not None:
+        corrosion["coating"] = read_coating(options.coating)
     if options.keep:
         corrosion["keep"] = tuple(options.keep)
     if options.step is not None:

@@ -21,6 +21,7 @@ from peri.omissions.names import OMITTABLE
 from perilife_data import did_you_mean
 from perilife_data.limits import LARGEST_YIELD_STRAIN
 from pipeline.scene.checks import SceneError, at_most, check, one_of, positive
+from pipeline.scene.coating import CoatingScene
 from pipeline.scene.ions import IonSettings
 from pipeline.scene.mechanics import HoldScene, MeshSettings, TensileScene
 from pipeline.scene.rate_law import read_kinetics
@@ -110,6 +111,7 @@ class CorrosionSettings:
     has one phase and one rate.
     tolerance: error of V_L, relative, up to which the march leaves out what the scene does not
     need (peri.omissions.planning); keep: what to compute all the same.
+    coating: what holds the rate back for a time, whatever its law.
     """
 
     scheme: str = "sdirk2"
@@ -124,6 +126,7 @@ class CorrosionSettings:
     classes: int = 0
     tolerance: float = DEFAULT_TOLERANCE
     keep: tuple[str, ...] = ()
+    coating: CoatingScene | None = None
 
     def __post_init__(self) -> None:
         if self.step is not None:
@@ -303,6 +306,8 @@ class Scene:
             )
 
         if self.ions is not None:
+            bare = "left out where --model is nnpp"
+            check(self.corrosion.coating is None, "coating", self.corrosion.coating, bare)
             for name, value, right, why in (
                 ("boundary", self.domain.boundary, "refreshed", ", whose ions need a way out"),
                 ("dissolution", self.corrosion.dissolution, "proportional", ""),

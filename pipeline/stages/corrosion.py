@@ -15,7 +15,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from peri.corrosion.coating import Coating
 from peri.corrosion.results import write_corrosion, write_history, write_image_series
+from peri.corrosion.run import file_under_coating
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.influence import diffusion_stencil
 from peri.engine.lattice import Lattice, ball, box_lattice, cylinder
@@ -159,6 +161,9 @@ def corrosion_scene(
         saturation=settings.saturation,
         dissolution=settings.dissolution,
         exposure=exposure,
+        coating=None
+        if settings.coating is None
+        else Coating(settings.coating.factor, settings.coating.lifetime),
     )
 
 
@@ -270,17 +275,19 @@ def corrode_in_folder(
         return corrode_lean(corrosion, times, stepping, **how)
 
     try:
-        result, omissions, *with_ions = march(checkpoint.exists())
+        under = file_under_coating(checkpoint)
+        result, omissions, *with_ions = march(checkpoint.exists() or under.exists())
     except CheckpointError as error:
         logger.warning("%s; the march starts anew", error)
-        checkpoint.unlink()
+        checkpoint.unlink(missing_ok=True)
         result, omissions, *with_ions = march(False)
     write_corrosion(out / CORROSION_FILE, result)
     history = dict(result.history)
     history["degradation_rate"] = degradation_rate(history["volume_loss"], history["time"], solid)
     write_history(out / HISTORY_FILE, history, {"degradation_rate": "mm_per_year"})
     write_image_series(out, result)
-    checkpoint.unlink(missing_ok=True)
+    for file in (checkpoint, file_under_coating(checkpoint)):
+        file.unlink(missing_ok=True)
     balance = np.abs(np.asarray(result.history["balance_error"]))
     numbers = {
         "volume_loss": [float(value) for value in result.volume_loss],
