@@ -13,7 +13,7 @@ from pipeline.scene.scene import (
     Scene,
     ScrewGeometry,
 )
-from pipeline.scene.units import format_length, format_seconds
+from pipeline.scene.units import format_length, format_seconds, parse_time
 from pipeline.stages.plan import scene_omissions
 
 ENOUGH_SPACINGS = 4
@@ -32,7 +32,7 @@ def checks(run: RunResults) -> list[dict[str, str]]:
         if error is not None and len(error):
             add(
                 f"{alloy.name}: mass balance of the corrosion",
-                f"{np.nanmax(np.abs(error)):.0e}",
+                _small(float(np.nanmax(np.abs(error)))),
                 "largest share of the metal that appears or vanishes in the computation",
                 "balance_error of history.csv, each step: the metal that the nodes hold, the metal "
                 "in the liquid and what has left, against the metal at the start",
@@ -161,6 +161,13 @@ def tensile_error(scene: Scene, hold: HoldScene) -> TensileError | None:
     return preset.tensile_error
 
 
+def strength_error(scene: Scene, hold: HoldScene) -> float | None:
+    """Relative error of the strength left by mesh and increments, where it was measured."""
+    known = tensile_error(scene, hold)
+    measured = known is not None and all(alloy.name in known.alloys for alloy in scene.alloys)
+    return known.error if measured and scene.tensile.load == "axial" else None
+
+
 def _alike(settings: object, preset: Resolution, **names: str) -> bool:
     """Whether settings have the preset's values; names: field of the settings = of the preset."""
     return all(getattr(settings, ours) == getattr(preset, its) for ours, its in names.items())
@@ -224,10 +231,11 @@ def _strength_error(run: RunResults, hold: HoldScene) -> str:
     scene = run.scene
     same = all(a.name in known.alloys for a in scene.alloys)
     where = "" if same else ", not here"
+    latest = duration(parse_time(known.latest).seconds)
     return (
         f"The strength left of the shank is off by at most {percent(known.error, 1)} of its value "
-        "because mesh and increments of the tensile test are finite, measured up to "
-        f"{known.latest} on the reference screw of {' and '.join(known.alloys)}{where}; "
+        f"because mesh and increments of the tensile test are finite, measured up to {latest} "
+        f"on the reference screw of {' and '.join(known.alloys)}{where}; "
         "what the error of the volume loss does to it comes on top."
     )
 
@@ -320,11 +328,16 @@ def omissions(run: RunResults) -> list[dict[str, str]]:
             if isinstance(entry, dict) and entry.get("applied", True):
                 bound = entry.get("bound")
                 measure = str(entry.get("of", "the volume loss"))
-                text = f"{percent(bound, 3)} of {measure}" if _finite(bound) else "not known"
-                name = str(entry.get("name", ""))  # as --keep wants it
+                text = f"{100 * bound:.2g} % of {measure}" if _finite(bound) else "not known"
+                name = str(entry.get("name", "")).replace("_", " ")
                 reason = str(entry.get("reason", ""))
                 found.append({"alloy": alloy.name, "what": name, "reason": reason, "bound": text})
     return found
+
+
+def _small(value: float) -> str:
+    """A share that is best read by its power of ten."""
+    return f"{value:.0e}" if value else "0"
 
 
 def _finite(value: object) -> bool:

@@ -65,7 +65,7 @@ def make_pictures(run: RunResults) -> PictureSet:
     states, paths = [], {}
     for alloy in run.alloys:
         for item in times_shown(alloy):
-            damage = _damage(run, alloy.name, item, points, len(cells))
+            damage = damage_field(run, alloy.name, item, points, len(cells))
             if damage is None:
                 continue
             states.append([])
@@ -83,7 +83,7 @@ def make_pictures(run: RunResults) -> PictureSet:
     return PictureSet({key: path for key, path in paths.items() if path.is_file()}, trouble)
 
 
-def _damage(
+def damage_field(
     run: RunResults, alloy: str, item: ImmersionResult, points: NDArray[np.float64], cells: int
 ) -> NDArray[np.float64] | None:
     """Corrosion damage at the points, or in the cells, or None where there is none to show."""

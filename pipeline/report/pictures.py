@@ -42,6 +42,8 @@ GONE = 0.97
 #: Colours of corrosion damage from none to the maximum: sound metal light grey, then yellow to
 #: brown with falling lightness, readable without colour vision.
 DAMAGE_COLOURS = ("#d5dae1", "#f0dca0", "#eeb04e", "#d97a1e", "#a8480c", "#6e2a08")
+#: Pixels of a picture, which the page shows smaller until it is enlarged.
+SIZE = (420, 616)
 Cut = Literal["whole", "half", "quarter"]
 SHELL_COLOUR = "#8593a6"
 
@@ -105,7 +107,7 @@ def screw_picture(
     corrosion_damage: NDArray[np.float64],
     *,
     cut: Cut = "whole",
-    size: tuple[int, int] = (300, 440),
+    size: tuple[int, int] = SIZE,
     maximum_damage: float = MAXIMUM_DAMAGE,
     outline: bool = True,
     azimuth: float = 35.0,
@@ -247,7 +249,7 @@ def render_pictures(
     cells: NDArray[np.int64],
     requests: Sequence[PictureRequest],
     *,
-    size: tuple[int, int] = (300, 440),
+    size: tuple[int, int] = SIZE,
     maximum_damage: float = MAXIMUM_DAMAGE,
     timeout: float = 300.0,
 ) -> str:
@@ -312,7 +314,7 @@ def write_overview(run: RunResults, pictures: dict[tuple[str, str, str], Path], 
     from matplotlib.colors import LinearSegmentedColormap, Normalize
     from matplotlib.figure import Figure
 
-    from pipeline.report.plots import ALLOY_COLOURS, draw_strength
+    from pipeline.report.plots import ALLOY_COLOURS, draw_strength, name_lines
     from pipeline.report.wording import duration
     from pipeline.scene.holding import HOLDINGS
     from pipeline.scene.loads import LOADS
@@ -322,12 +324,17 @@ def write_overview(run: RunResults, pictures: dict[tuple[str, str, str], Path], 
     rows, columns = len(run.alloys), len(labels)
     tested = any(i.strength_ratio is not None for a in run.alloys for i in a.immersions)
     widths = [max(1.2 * columns + 0.4, 3.4), 4.4 if tested else 0.01]
+    room = 0.96
+    if tested and len(run.held) > 1:  # for the names of the lines
+        widths[1], room = 5.6, 0.7
     height = 1.85 * rows + 1.05
     bottom, top = 0.72 / height, 1 - 0.33 / height
     figure = Figure(figsize=(sum(widths), height), dpi=150)
     left, right = figure.subfigures(1, 2, width_ratios=widths)
     grid = left.subplots(rows, columns, squeeze=False)
-    left.subplots_adjust(left=0.07, right=1.0, bottom=bottom, top=top, wspace=0.02, hspace=0.04)
+    left.subplots_adjust(
+        left=0.45 / widths[0], right=1.0, bottom=bottom, top=top, wspace=0.02, hspace=0.04
+    )
     for axes_row, alloy, colour in zip(grid, run.alloys, cycle(ALLOY_COLOURS), strict=False):
         axes_row[0].text(
             -0.12,
@@ -359,15 +366,24 @@ def write_overview(run: RunResults, pictures: dict[tuple[str, str, str], Path], 
     bar.ax.set_title("Corrosion damage; a quarter is cut out", fontsize=8.5, pad=3)
     if tested:
         axes = right.subplots()
-        right.subplots_adjust(left=0.15, right=0.96, bottom=bottom, top=top)
+        right.subplots_adjust(left=0.13, right=room, bottom=bottom, top=top)
         load = LOADS[run.scene.tensile.load]
+        ends = []
         for n, (hold, alloys) in enumerate(run.held.items()):
-            draw_strength(axes, alloys, ALLOY_COLOURS, load, way=(n, HOLDINGS[hold].part))
+            part = HOLDINGS[hold].part
+            draw_strength(axes, alloys, ALLOY_COLOURS, load, way=(n, part))
+            for alloy, colour in zip(alloys, cycle(ALLOY_COLOURS), strict=False):
+                known = [i for i in alloy.immersions if i.strength_ratio is not None]
+                if known:
+                    ends.append((100 * known[-1].strength_ratio, part, colour))
         axes.set_xlim(left=0)
         axes.grid(color="#dddddd", lw=0.6)
         axes.spines[["top", "right"]].set_visible(False)
+        if len(run.held) > 1:
+            name_lines(axes, ends, apart=5.0)
         if axes.get_legend_handles_labels()[0]:
-            axes.legend(frameon=False)
+            place = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.0}
+            axes.legend(frameon=False, ncols=3, **place)
     part = path.with_name(path.name + ".part")
     FigureCanvasAgg(figure).print_png(part)
     os.replace(part, path)

@@ -7,6 +7,7 @@ placeholders that become CSS variables in the SVG text: one drawing serves light
 import io
 import re
 from collections.abc import Mapping, Sequence
+from html import escape
 
 import numpy as np
 from matplotlib import rc_context
@@ -40,6 +41,11 @@ _CSS = {
     **{colour: f"var(--t{n})" for n, colour in enumerate(_RAMP)},
 }
 _SIZE = (4.6, 3.3)
+_MOST_MARKS = 60
+"""Values of one curve that can be read off under the pointer."""
+
+Marks = list[tuple[float, float, str]]
+"""Values of a drawing to be read off: place on either axis, and the words."""
 
 
 def time_axis(longest: float) -> tuple[float, str]:
@@ -66,6 +72,7 @@ def volume_loss_plot(
         + [1.0]
     )
     second, unit = time_axis(longest)
+    marks: Marks = []
     for n, alloy in enumerate(alloys):
         style = _style(n)
         time, loss = column(alloy.history, "time"), column(alloy.history, "volume_loss")
@@ -73,6 +80,14 @@ def volume_loss_plot(
         if time is not None and loss is not None:
             times, losses = _smooth(time, loss)
             axes.plot(times / second, 100 * losses, lw=1.8, label=alloy.name, **_line(style))
+            marks += [
+                (
+                    t / second,
+                    100 * v,
+                    f"{alloy.name}, {t / second:.3g} {unit}: {100 * v:.2f} % lost",
+                )
+                for t, v in zip(*_few(time, loss), strict=True)
+            ]
         elif known:
             axes.plot([], [], lw=1.8, label=alloy.name, **style)
         if known:
@@ -104,7 +119,8 @@ def volume_loss_plot(
     _time_ticks(axes, unit)
     axes.set_ylabel("Volume loss (%)")
     _finish(axes, zero=True)
-    return _svg(figure, "volume-loss", "Volume loss in per cent against immersion time")
+    title = "Volume loss in per cent against immersion time"
+    return _svg(figure, "volume-loss", title, marks)
 
 
 def _shade(
@@ -123,20 +139,40 @@ def strength_plot(
     names: LoadNames = LOADS["axial"],
     bands: Sequence[BandRow] = (),
     hold: str = "shank",
+    error: float | None = None,
 ) -> str:
     """Peak over that of the intact solid against immersion time, all alloys held alike, as SVG.
 
-    bands: 5 to 95 % of the samples of the constants, shaded.
+    bands: 5 to 95 % of the samples of the constants, shaded; error: of the strength left, relative,
+    as measured of mesh and increments, shaded more strongly, None where it was not.
     """
     figure, axes = _figure()
     longest = max((i.seconds for a in alloys for i in a.immersions), default=1.0)
     for n, alloy in enumerate(alloys):
         rows = [band for band in bands if band.alloy == alloy.name]
         _shade(axes, rows, "strength_ratio", 1.0, time_axis(longest)[0], _style(n))
+    second, unit = time_axis(longest)
+    marks: Marks = []
+    for n, alloy in enumerate(alloys):
+        known = [i for i in alloy.immersions if i.strength_ratio is not None]
+        times = [i.seconds / second for i in known]
+        if error is not None and known:
+            low, high = (
+                [100 * i.strength_ratio * (1 + side * error * (i.seconds > 0)) for i in known]
+                for side in (-1, 1)
+            )
+            axes.fill_between(times, low, high, color=_style(n)["color"], alpha=0.28, lw=0)
+        for time, item in zip(times, known, strict=True):
+            peak = ""
+            if item.reaction is not None and len(item.reaction):
+                peak = f", {names.shown(float(np.nanmax(item.reaction)))}"
+            value = 100 * item.strength_ratio
+            text = f"{alloy.name}, {time:.3g} {unit}: {value:.1f} % left{peak}"
+            marks.append((time, value, text))
     draw_strength(axes, alloys, colours=_SERIES, names=names)
-    _finish(axes, zero=True, legend="upper right")
+    _finish(axes, zero=True)
     title = f"{_capital(names.strength)} left in per cent against immersion time"
-    return _svg(figure, f"strength-{hold}", title)
+    return _svg(figure, f"strength-{hold}", title, marks)
 
 
 def draw_strength(
@@ -149,7 +185,7 @@ def draw_strength(
     """Draw strength left (%) against immersion time into `axes`; severed solids get a cross.
 
     way: number and name of a way of holding where one drawing shows several: each has a line style
-    of its own and its name at the end of its lines.
+    of its own, and `name_lines` writes its name beside its lines.
     """
     longest = max((i.seconds for a in alloys for i in a.immersions), default=1.0)
     second, unit = time_axis(longest)
@@ -166,15 +202,6 @@ def draw_strength(
             style["ls"] = LINE_STYLES[way[0] % len(LINE_STYLES)]
             label = alloy.name if way[0] == 0 else None
         axes.plot(times, ratios, lw=1.8, ms=5.5, label=label, clip_on=False, zorder=3, **style)
-        if way is not None and n == len(alloys) - 1:
-            axes.annotate(
-                way[1],
-                (times[-1], ratios[-1]),
-                (0, 7),
-                textcoords="offset points",
-                ha="right",
-                fontsize=8.5,
-            )
         severed += [(t, r) for t, r in zip(times, ratios, strict=True) if r == 0.0]
     if severed:
         axes.plot(
@@ -193,12 +220,43 @@ def draw_strength(
     axes.set_ylim(0, max(105.0, axes.get_ylim()[1]))
 
 
+def name_lines(
+    axes: Axes, lines: Sequence[tuple[float, str, str]], apart: float, size: float = 8.5
+) -> None:
+    """Write the names of lines beside their right ends, beyond the axes, none over another.
+
+    lines: value at the end, name and colour; apart: least distance of two names, in values.
+    """
+    ordered = sorted(lines)
+    places = [value for value, _, _ in ordered]
+    for _ in range(200):  # push neighbours apart by halves until all are far enough
+        for n in range(len(places) - 1):
+            lacking = apart - (places[n + 1] - places[n])
+            if lacking > 0:
+                places[n] -= 0.5 * lacking
+                places[n + 1] += 0.5 * lacking
+        places = [max(place, axes.get_ylim()[0]) for place in places]
+    right = axes.get_xlim()[1]
+    for place, (value, name, colour) in zip(places, ordered, strict=True):
+        axes.annotate(
+            name,
+            (right, value),
+            xytext=(1.03, place),
+            textcoords=axes.get_yaxis_transform(),
+            va="center",
+            color=colour,
+            fontsize=size,
+            annotation_clip=False,
+        )
+
+
 def load_plot(alloy: AlloyResult, name: str, most: float, names: LoadNames = LOADS["axial"]) -> str:
     """Force-elongation (torque-angle, moment-angle) curves of one alloy by immersion time, as SVG.
 
     most: upper end of the force axis (SI), so that the alloys' plots share one scale.
     """
     figure, axes = _figure()
+    marks: Marks = []
     tested = [i for i in alloy.immersions if i.reaction is not None and i.abscissa is not None]
     for n, item in enumerate(tested):
         shade = _RAMP[round(n * (TIME_RAMP - 1) / max(1, len(tested) - 1))]
@@ -209,13 +267,17 @@ def load_plot(alloy: AlloyResult, name: str, most: float, names: LoadNames = LOA
         axes.plot(along, force, color=shade, lw=1.8, label=item.label)
         peak = int(np.nanargmax(force))
         axes.plot(along[peak], force[peak], "o", ms=4, color=shade)
+        marks += [
+            (x, y, f"{item.label}: {y:.3g} {names.shown_unit} at {x:.3g} {names.abscissa_unit}")
+            for x, y in zip(*_few(along, force, peak), strict=True)
+        ]
     axes.set_xlabel(names.abscissa_title)
     axes.set_ylabel(f"{_capital(names.reaction)} ({names.shown_unit})")
     axes.set_ylim(0, 1.05 * names.shown_factor * (most or 1.0))
     axes.set_xlim(left=0)
-    _finish(axes, zero=False, legend="outside", columns=4)
+    _finish(axes, zero=False)
     title = f"{_capital(names.reaction)} against {names.abscissa} of {alloy.name}"
-    return _svg(figure, f"curves-{name}", title)
+    return _svg(figure, f"curves-{name}", title, marks)
 
 
 def ph_plot(alloy: str, name: str, rows: Sequence[Mapping], medium: float) -> str:
@@ -233,7 +295,7 @@ def ph_plot(alloy: str, name: str, rows: Sequence[Mapping], medium: float) -> st
     axes.set_xlabel("Distance from the metal (µm)")
     axes.set_ylabel("pH")
     axes.set_xlim(left=0)
-    _finish(axes, zero=False, legend="upper right")
+    _finish(axes, zero=False)
     return _svg(figure, f"ph-{name}", f"pH against the distance from the metal, {alloy}")
 
 
@@ -296,21 +358,48 @@ def _marker(style: dict) -> dict:
     return {"color": style["color"], "marker": style["marker"]}
 
 
-def _finish(axes: Axes, *, zero: bool, legend: str = "best", columns: int = 1) -> None:
+def _few(
+    x: NDArray[np.float64], y: NDArray[np.float64], keep: int = 0
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """At most so many points of a curve that each can be pointed at, number `keep` among them."""
+    picks = np.linspace(0, len(x) - 1, min(len(x), _MOST_MARKS)).round().astype(int)
+    picks = np.unique(np.append(picks, keep))
+    picks = picks[np.isfinite(x[picks]) & np.isfinite(y[picks])]
+    return x[picks], y[picks]
+
+
+def _finish(axes: Axes, *, zero: bool) -> None:
+    """Limits, and the legend above the axes, its entries in the order of drawing row by row."""
     if zero:
         axes.set_xlim(left=0)
         axes.set_ylim(bottom=0)
-    if not axes.get_legend_handles_labels()[0]:
+    handles, labels = axes.get_legend_handles_labels()
+    if not handles:
         return
-    look = {"fontsize": 8.5, "frameon": False, "labelcolor": _INK, "handlelength": 2.4}
-    if legend == "outside":
-        axes.figure.legend(loc="outside upper left", ncols=columns, columnspacing=1.2, **look)
-    else:
-        axes.legend(loc=legend, **look)
+    columns = min(len(labels), 6 if max(map(len, labels)) <= 3 else 3)
+    axes.figure.legend(
+        _by_rows(handles, columns),
+        _by_rows(labels, columns),
+        loc="outside upper left",
+        ncols=columns,
+        columnspacing=1.2,
+        fontsize=8.5,
+        frameon=False,
+        labelcolor=_INK,
+        handlelength=1.8,
+    )
 
 
-def _svg(figure: Figure, name: str, label: str) -> str:
-    """The figure as an SVG element for an HTML page: CSS colours, page font, unique ids."""
+def _by_rows(entries: Sequence, columns: int) -> list:
+    """The entries in the order in which matplotlib, column by column, fills rows with them."""
+    return [entry for first in range(columns) for entry in entries[first::columns]]
+
+
+def _svg(figure: Figure, name: str, label: str, marks: Marks = ()) -> str:
+    """The figure as an SVG element for an HTML page: CSS colours, page font, unique ids.
+
+    marks: values of the first axes, as circles with a title that the page's script shows.
+    """
     buffer = io.StringIO()
     with rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
         FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None})
@@ -330,4 +419,11 @@ def _svg(figure: Figure, name: str, label: str) -> str:
         f'<svg class="plot" role="img" aria-label="{label}" viewBox="0 0 {width} {height}" '
         'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink">'
     )
-    return head + text[text.index(">") + 1 :]
+    body = text[text.index(">") + 1 : text.rindex("</svg>")]
+    to_figure = figure.axes[0].transData - figure.transFigure
+    circles = [
+        f'<circle class="value" cx="{width * x:.1f}" cy="{height * (1 - y):.1f}" r="3.5">'
+        f"<title>{escape(words)}</title></circle>"
+        for (x, y), words in ((to_figure.transform(mark[:2]), mark[2]) for mark in marks)
+    ]
+    return head + body + "".join(circles) + "</svg>"

@@ -58,6 +58,7 @@ _TITLES = {
     "rate_change": "Change of rate per time step",
     "peak_drop": "Ends at this drop from the peak",
     "damage": "Growth of f",
+    "keep": "Computed though it may be left out",
     "bending_azimuth": "Axis of bending from x",
     "damage_length": "Length over which the growth of f is averaged",
 }
@@ -331,6 +332,8 @@ def _shown(name: str, value: object) -> tuple[str, str]:
     """Value and unit as a person reads them."""
     if isinstance(value, bool):
         return ("yes" if value else "no"), ""
+    if isinstance(value, tuple):
+        return ", ".join(str(entry).replace("_", " ") for entry in value) or "nothing", ""
     if not isinstance(value, int | float):
         return str(value).replace("_", " ") if name != "path" else str(value), ""
     if name in _LENGTHS and value == 0:

@@ -26,12 +26,16 @@ from pipeline.record.doubts import DOUBTS_FILE, read_doubts
 from pipeline.record.machine import describe_machine, package_versions
 from pipeline.record.run_folder import REPORT_FILE, write_text
 from pipeline.record.run_results import AlloyResult, ImmersionResult, RunResults, read_run
+from pipeline.record.summary import SummaryRow
 from pipeline.report import doubts, plots, provenance
+from pipeline.report.downloads import downloads
 from pipeline.report.ions import ion_section
 from pipeline.report.picture_set import PictureSet, make_pictures, times_shown
-from pipeline.report.pictures import DAMAGE_COLOURS, MAXIMUM_DAMAGE, write_overview
+from pipeline.report.pictures import DAMAGE_COLOURS, MAXIMUM_DAMAGE, SIZE, write_overview
 from pipeline.report.shares import share_tables
+from pipeline.report.solid_view import solid_view
 from pipeline.report.wording import (
+    caption,
     duration,
     elsewhere,
     gathered,
@@ -48,6 +52,7 @@ from pipeline.scene.units import format_bytes, format_length, format_seconds
 logger = logging.getLogger(__name__)
 
 OVERVIEW_FILE = "overview.png"
+TEMPLATES = Path(__file__).parent / "templates"
 STAGE_TITLES = {
     "geometry": "Solid and mesh",
     "corrode": "Corrosion",
@@ -96,7 +101,7 @@ def write_report(run_folder: Path | str) -> Path:
         write_overview(run, pictures.paths, run.folder / OVERVIEW_FILE)
     references = provenance.references(rows)
     environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
+        loader=jinja2.FileSystemLoader(TEMPLATES),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
@@ -117,9 +122,13 @@ def write_report(run_folder: Path | str) -> Path:
         tables=[
             (HOLDINGS[name], found)
             for name, alloys in run.held.items()
-            if (found := [_table_row(a, i) for a in alloys for i in a.immersions if i.summary])
+            if (found := [_table_row(a, i) for a in alloys for i in _tested(a)])
         ],
         pictures=_pictures(run, pictures),
+        solid_view=solid_view(run),
+        scripts={name: _script(name) for name in ("viewer.js", "page.js")},
+        downloads=downloads(run),
+        picture_size=SIZE,
         damage_ramp=_damage_ramp(),
         plots=_plots(run, measured, load, banded),
         bands=[_band_row(row) for row in banded],
@@ -134,7 +143,7 @@ def write_report(run_folder: Path | str) -> Path:
         alloys=names,
         assumed_count=len(assumed),
         assumptions=provenance.side_by_side(assumed, names),
-        parameters=provenance.side_by_side(rows, names),
+        parameters=provenance.side_by_side([row for row in rows if row not in assumed], names),
         settings=provenance.settings(run.scene),
         kinds=[(k, v) for k, v in provenance.kinds_explained().items() if _has(rows, k)],
         solid_rows=_solid_rows(run),
@@ -214,13 +223,25 @@ def _parameter_set(run: RunResults) -> dict[str, str]:
 # ---------------------------------------------------------------- table, pictures, curves
 
 
+def _tested(alloy: AlloyResult) -> list[ImmersionResult]:
+    """What the table of results has a row for: the intact solid, too, where it was only pulled."""
+    if not any(item.summary for item in alloy.immersions):
+        return []
+    return [i for i in alloy.immersions if i.summary or i.strength_ratio is not None]
+
+
 def _table_row(alloy: AlloyResult, item: ImmersionResult) -> dict[str, object]:
-    row = item.summary
+    row, rows = item.summary, _tested(alloy)
     ratio = item.strength_ratio
+    if row is None:  # before immersion nothing is lost, and the test is known by its own file
+        peak = item.tensile.get(f"peak_{item.names.reaction}", math.nan)
+        strain = item.tensile.get(item.names.strain_at_peak, math.nan)
+        status = str(item.tensile.get("status", ""))
+        row = SummaryRow(alloy.name, alloy.hold, 0.0, 0.0, 0.0, peak, 1.0, strain, status)
     return {
         "alloy": alloy.name,
-        "first": item is next(i for i in alloy.immersions if i.summary),
-        "rows": sum(1 for i in alloy.immersions if i.summary),
+        "first": item is rows[0],
+        "rows": len(rows),
         "time": duration(item.seconds),
         "volume_loss": _or_dash(row.volume_loss, lambda v: percent(v, 1)),
         "rate": "–" if row.degradation_rate is None else f"{row.degradation_rate:.2f} mm/year",
@@ -263,18 +284,10 @@ def _pictures(run: RunResults, made: PictureSet) -> list[tuple[str, list[Picture
             paths = [made.paths.get((alloy.name, item.label, cut)) for cut in ("whole", "half")]
             views = [_embed(path, alloy, item) if path else None for path in paths]
             if any(views):
-                columns.append(PictureColumn(duration(item.seconds), _caption(item), *views))
+                columns.append(PictureColumn(duration(item.seconds), caption(item), *views))
         if columns:
             result.append((alloy.name, columns))
     return result
-
-
-def _caption(item: ImmersionResult) -> str:
-    if item.strength_ratio is None:
-        return ""
-    if item.strength_ratio == 0.0 and item.summary:
-        return status_in_words(item.summary.status, item.names)
-    return f"{percent(item.strength_ratio)} left"
 
 
 def _embed(path: Path, alloy: AlloyResult, item: ImmersionResult) -> Picture:
@@ -287,6 +300,11 @@ def _embed(path: Path, alloy: AlloyResult, item: ImmersionResult) -> Picture:
     view = "whole" if path.stem.endswith("whole") else "cut in half"
     text = f"{alloy.name} after {duration(item.seconds)}, {view}, coloured by corrosion damage"
     return Picture(f"data:image/{kind};base64,{base64.b64encode(content).decode()}", text)
+
+
+def _script(name: str) -> Markup:
+    """A script of this project, to stand in the page itself."""
+    return Markup((TEMPLATES / name).read_text(encoding="utf-8"))
 
 
 def _damage_ramp() -> dict[str, object]:
@@ -338,13 +356,17 @@ def _plots(
         if any(i.strength_ratio is not None for a in alloys for i in a.immersions)
     }
     first = [b for b in banded if b.hold == run.scene.holds[0].name]  # volume loss is alike in all
+    errors = {hold.name: doubts.strength_error(run.scene, hold) for hold in run.scene.holds}
     return {
         "strength": [
             (
                 HOLDINGS[name].part,
                 Markup(
-                    plots.strength_plot(alloys, load, [b for b in banded if b.hold == name], name)
+                    plots.strength_plot(
+                        alloys, load, [b for b in banded if b.hold == name], name, errors[name]
+                    )
                 ),
+                "" if errors[name] is None else percent(errors[name], 1),
             )
             for name, alloys in ratios.items()
         ],

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable
 
-from pipeline.record.run_results import AlloyResult, column
+from pipeline.record.run_results import AlloyResult, ImmersionResult, column
 from pipeline.scene.holding import HOLDINGS
 from pipeline.scene.loads import LOADS, LoadNames
 
@@ -105,6 +105,15 @@ def percent(fraction: float, digits: int = 0) -> str:
     if digits == 0 and (0.0 < abs(value) < 0.95 or 99.5 <= value < 100.0 - 1e-6):
         digits = 2 if abs(value) < 0.095 else 1
     return f"{value:.{digits}f} %"
+
+
+def caption(item: ImmersionResult) -> str:
+    """What stands below a picture of the solid: the strength left, or why there is none."""
+    if item.strength_ratio is None:
+        return ""
+    if item.strength_ratio == 0.0 and item.summary:
+        return status_in_words(item.summary.status, item.names)
+    return f"{percent(item.strength_ratio)} left"
 
 
 def status_in_words(text: str, names: LoadNames = LOADS["axial"]) -> str:

@@ -15,8 +15,8 @@ class LoadNames:
     participle; reaction, unit: quantity and SI unit as in the columns `force_N`, `torque_N_m`;
     shown_unit, shown_factor: the unit for a reader and how many of it an SI unit is; strain: column
     with the nominal strain; strain_title, strain_remark: the same for a reader; abscissa,
-    abscissa_factor, abscissa_title: column of tensile.csv against which a curve is drawn, what
-    brings it to the unit of the title.
+    abscissa_factor, abscissa_title, abscissa_unit: column of tensile.csv against which a curve is
+    drawn, what brings it to the unit of the title, that unit.
     """
 
     test: str
@@ -33,6 +33,7 @@ class LoadNames:
     abscissa: str
     abscissa_factor: float
     abscissa_title: str
+    abscissa_unit: str
 
     @property
     def peak(self) -> str:
@@ -67,6 +68,7 @@ def _turn(test: str, reaction: str, deed: str, done: str) -> LoadNames:
         abscissa="angle",
         abscissa_factor=math.degrees(1.0),
         abscissa_title="Angle (°)",
+        abscissa_unit="°",
     )
 
 
@@ -86,6 +88,7 @@ LOADS: dict[str, LoadNames] = {
         abscissa="elongation",
         abscissa_factor=100.0,
         abscissa_title="Elongation (% of the length between the grips)",
+        abscissa_unit="%",
     ),
     "torsion": _turn("torsion", "torque", "a twist", "twisted"),
     "bending": _turn("bending", "moment", "bending", "bent"),
