@@ -3,7 +3,10 @@
 import argparse
 
 LENGTHS = ("diameter", "length", "pitch", "slot_width", "slot_depth")
-"""Options of the scene that a design may vary, besides the alloy."""
+"""Lengths of the screw that a design may vary within a range."""
+
+COATING = ("coating_factor", "coating_lifetime")
+"""Numbers of --coating that a design may vary within a range."""
 
 
 def add_design_options(parser: argparse.ArgumentParser) -> None:
@@ -17,11 +20,20 @@ def add_design_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--probability", type=float, metavar="P", help="with the samples of a fitted set"
     )
+    names = ", ".join(n.replace("_", "-") for n in (*LENGTHS, *COATING))
     group.add_argument(
         "--vary",
         required=True,
+        action="append",
         metavar="NAME=LOW:HIGH",
-        help=f"one of {', '.join(n.replace('_', '-') for n in LENGTHS)}; or alloy=A,B",
+        help=f"one of {names}; or NAME=A,B of any option, as alloy=A,B; twice: the front of both",
+    )
+    group.add_argument(
+        "--strength-tolerance",
+        type=float,
+        default=0.01,
+        metavar="X",
+        help="of the strength curve by which a coating is searched, of the intact strength (0.01)",
     )
 
 
