@@ -12,6 +12,7 @@ from pathlib import Path
 
 from perilife_data import did_you_mean
 from pipeline.benches import calibration as bench_calibration
+from pipeline.benches import campaign as bench_campaign
 from pipeline.benches import corrosion as bench_corrosion
 from pipeline.benches import cut_cells as bench_cut_cells
 from pipeline.benches import friendliness as bench_friendliness
@@ -172,6 +173,11 @@ BENCHMARKS: dict[str, Benchmark] = {
         "rate classes: a ball in clean liquid against its closed form (2 minutes)",
         bench_cut_cells.cut_cells,
         bench_cut_cells.small_cut_cells,
+    ),
+    "campaign": Benchmark(
+        "forty samples of one geometry, V_L and strength; what Dask adds to a task (5 min)",
+        bench_campaign.campaign,
+        bench_campaign.small_campaign,
     ),
     "calibration": Benchmark(
         "fits, posteriors, marches and bands of the screw (10 minutes)",

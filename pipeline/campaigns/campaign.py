@@ -35,6 +35,7 @@ from pipeline.scene.loads import LOADS
 from pipeline.scene.options import add_scene_options, scene_from_options
 from pipeline.scene.scene import Scene
 from pipeline.scene.units import ImmersionTime
+from pipeline.stages.plan import make_plan
 
 STORE_FOLDER = "store"
 CAMPAIGN_FILE = "campaign.csv"
@@ -146,6 +147,27 @@ def _parts(case: Case) -> list[tuple[Scene, list[ImmersionTime]]]:
     return [(case.scene, later), (intact, list(intact.immersion))]
 
 
+def largest_task(cases: Iterable[Case]) -> tuple[float, str]:
+    """Bytes of memory of the task that needs most, and the task in words.
+
+    One plan per solid, lattice and mesh; a scene that cannot be planned says so when it is done.
+    """
+    needed, what, seen = 0.0, "no task", set()
+    for case in cases:
+        key = (geometry_hash(case.scene), repr(case.scene.lattice), repr(case.scene.domain))
+        if key in seen:
+            continue
+        seen.add(key)
+        try:
+            plan = make_plan(case.scene, workers=1)
+        except ValueError:
+            continue
+        task = max(plan.tasks, key=lambda task: task.memory / task.at_once)
+        if task.memory / task.at_once > needed:
+            needed, what = task.memory / task.at_once, f"a task ({task.stage}, {task.size})"
+    return needed, what
+
+
 def run_campaign(
     cases: list[Case],
     out: Path,
@@ -240,11 +262,11 @@ def run_from_options(options: argparse.Namespace, say: Callable[[str], None]) ->
     cases = read_campaign(options.campaign)
     out = Path(options.out)
     store = RunFolder((out / STORE_FOLDER).resolve())
-    with (
-        store.lock(),
-        ENGINES[options.engine](options.workers, options.scheduler, store.path) as executor,
-    ):
-        path, failures = run_campaign(cases, out.resolve(), executor, say)
+    with ENGINES[options.engine](options.workers, options.scheduler) as crew:
+        crew.check_memory(*largest_task(cases))
+        with store.lock():
+            crew.check_store(store.path)
+            path, failures = run_campaign(cases, out.resolve(), crew.executor, say)
     for failure in failures:
         say(f"failed: {failure}")
     say(f"table: {path}")

@@ -7,29 +7,58 @@ over ssh or under a batch system, behind one address.  mpi: the ranks of an mpir
 
 from __future__ import annotations
 
+import math
+import platform
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.record.machine import processor_cores
+from pipeline.record.machine import available_memory, processor_cores
+from pipeline.scene.units import format_bytes
 
 PATIENCE = 10.0
 """Seconds that a scheduler has to answer."""
 
+_PROBES = 8
+"""Tasks per MPI rank by which the hosts of the ranks are found."""
+
+
+@dataclass(frozen=True)
+class Crew:
+    """Who does the tasks.
+
+    executor: takes them; memory: bytes that a task may take beside the others of its host, at the
+    worker that has least; check_store: refuses workers that do not see a store.
+    """
+
+    executor: Executor
+    memory: float
+    check_store: Callable[[Path], None] = lambda store: None
+
+    def check_memory(self, needed: float, what: str) -> None:
+        """Refuse a task that needs more bytes than a worker has; what: the task in words."""
+        if needed > self.memory:
+            raise ValueError(
+                f"{what} needs about {format_bytes(needed)} of memory and a worker has "
+                f"{format_bytes(self.memory)}; fewer --workers, or workers with more, must do it"
+            )
+
 
 @contextmanager
-def local(workers: int | None, address: str | None, store: Path) -> Iterator[Executor]:
+def local(workers: int | None, address: str | None) -> Iterator[Crew]:
     """Child processes of this one; a thread waits for each."""
     if address is not None:
         raise ValueError("--scheduler goes with --engine dask, which must be given too")
-    with ThreadPoolExecutor(workers or processor_cores()) as executor:
-        yield executor
+    count = workers or processor_cores()
+    with ThreadPoolExecutor(count) as executor:
+        yield Crew(executor, available_memory() / count)
 
 
 @contextmanager
-def dask(workers: int | None, address: str | None, store: Path) -> Iterator[Executor]:
+def dask(workers: int | None, address: str | None) -> Iterator[Crew]:
     """Workers of Dask; without an address, `workers` of this machine's own, one thread each."""
     try:
         from distributed import Client, LocalCluster
@@ -49,8 +78,16 @@ def dask(workers: int | None, address: str | None, store: Path) -> Iterator[Exec
             f"--scheduler is '{address}'; it does not answer within {PATIENCE:g} s"
         ) from None
     try:
-        _check_store(client, store)
-        yield client.get_executor()
+        client.wait_for_workers(1, timeout=PATIENCE)
+        found = client.scheduler_info(-1)["workers"].values()
+        limits = [w["memory_limit"] / w["nthreads"] for w in found if w["memory_limit"]]
+        yield Crew(
+            client.get_executor(),
+            min(limits, default=math.inf),
+            lambda store: _check_store(client, store),
+        )
+    except TimeoutError:
+        raise ValueError("the scheduler has no workers; start some first") from None
     finally:
         client.close()
         if cluster is not None:
@@ -66,8 +103,6 @@ def _check_store(client: object, store: Path) -> None:
     finally:
         token.unlink()
     blind = [worker for worker, there in seen.items() if not there]
-    if not seen:
-        raise ValueError("the scheduler has no workers; start some first")
     if blind:
         raise ValueError(
             f"store '{store}' is not seen by worker {blind[0]}; it must be on a file system that "
@@ -80,14 +115,22 @@ def _exists(path: str) -> bool:
 
 
 @contextmanager
-def mpi(workers: int | None, address: str | None, store: Path) -> Iterator[Executor]:
+def mpi(workers: int | None, address: str | None) -> Iterator[Crew]:
     """Ranks of an mpirun, one task each at a time."""
     from mpi4py.futures import MPIPoolExecutor
 
     if address is not None:
         raise ValueError("--scheduler goes with --engine dask, which must be given too")
     with MPIPoolExecutor(workers) as executor:
-        yield executor
+        probes = list(executor.map(_host, range(_PROBES * max(1, executor.num_workers))))
+        hosts = dict(probes)
+        each = math.ceil(executor.num_workers / len(hosts))
+        yield Crew(executor, min(hosts.values()) / each)
+
+
+def _host(number: int) -> tuple[str, float]:
+    """Name and available memory (bytes) of the host of a rank."""
+    return platform.node(), float(available_memory())
 
 
 ENGINES = {"local": local, "dask": dask, "mpi": mpi}

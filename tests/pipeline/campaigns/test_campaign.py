@@ -11,7 +11,14 @@ from pathlib import Path
 import pytest
 
 from pipeline.campaigns import campaign as module
-from pipeline.campaigns.campaign import STORE_FOLDER, read_campaign, run_campaign, stages
+from pipeline.campaigns import engines
+from pipeline.campaigns.campaign import (
+    STORE_FOLDER,
+    largest_task,
+    read_campaign,
+    run_campaign,
+    stages,
+)
 from pipeline.campaigns.task import do_task
 from pipeline.cli import main
 from pipeline.record.machine import child_environment
@@ -97,6 +104,18 @@ def test_engines_that_cannot_be_are_refused(more, words, tmp_path, capsys):
     path = write(tmp_path)
     assert main(["campaign", str(path), "--out", str(tmp_path / "out"), *more]) == 2
     assert words in capsys.readouterr().err
+
+
+def test_a_task_larger_than_a_worker_is_refused_before_anything_is_made(
+    tmp_path, monkeypatch, capsys
+):
+    path, out = write(tmp_path), tmp_path / "out"
+    needed, what = largest_task(read_campaign(path))
+    assert 1e8 < needed < 2e9 and "a task (" in what
+    monkeypatch.setattr(engines, "available_memory", lambda: 2 * needed - 1e6)
+    assert main(["campaign", str(path), "--out", str(out), "--workers", "2"]) == 2
+    said = capsys.readouterr().err
+    assert "and a worker has" in said and "fewer --workers" in said and not out.exists()
 
 
 def test_a_store_that_another_campaign_holds_is_refused(tmp_path, capsys):
