@@ -162,7 +162,12 @@ class LifeCycle:
 
     def pull(self, tests: Iterable[Test]) -> list[StageRecord]:
         """Tensile tests of alloys after immersion times held in some ways, several at a time."""
+        from pipeline.stages.plan import shear_locking
+
         tests = {f"pull {test[0]} {test[1].label} {test[2].name}": test for test in tests}
+        for hold in dict.fromkeys(test[2] for test in tests.values()):
+            for wrong in shear_locking(hold.tensile):
+                self.progress.note(f"{wrong.reason}: {wrong.error}; better --element P2")
         jobs: dict[str, TensileJob] = {}
         for key, test in tests.items():
             alloy, _, hold = test

@@ -204,6 +204,7 @@ def draw_strength(
         axes.plot(times, ratios, lw=1.8, ms=5.5, label=label, clip_on=False, zorder=3, **style)
         severed += [(t, r) for t, r in zip(times, ratios, strict=True) if r == 0.0]
     if severed:
+        said = "severed" in axes.get_legend_handles_labels()[1]  # of another way of holding
         axes.plot(
             *zip(*severed, strict=True),
             ls="none",
@@ -211,7 +212,7 @@ def draw_strength(
             ms=10,
             mew=2,
             color=axes.xaxis.label.get_color(),
-            label="severed",
+            label=None if said else "severed",
             clip_on=False,
             zorder=4,
         )

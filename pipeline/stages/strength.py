@@ -215,7 +215,7 @@ def _write_picture(out: Path, mesh: object, damage: np.ndarray, result: object) 
     meshio.Mesh(
         mesh.points,
         [("tetra", mesh.cells)],
-        point_data={"displacement": np.nan_to_num(displacement)},
+        point_data={"displacement_m": np.nan_to_num(displacement)},
         cell_data={"corrosion_damage": [damage.reshape(len(mesh.cells), -1).mean(axis=1)]},
     ).write(temporary)
     os.replace(temporary, out / PICTURE_FILE)

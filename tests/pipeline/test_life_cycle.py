@@ -135,6 +135,27 @@ def test_the_intact_solid_is_pulled_even_when_time_zero_is_not_asked_for(tmp_pat
     assert "time zero was not asked for" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("load", "element", "said"),
+    [("torsion", "P1-Fbar", True), ("bending", "P1", True), ("torsion", "P2", False)]
+    + [("axial", "P1-Fbar", False)],
+)
+def test_cells_that_lock_are_named_before_they_are_turned(
+    tmp_path, calls, capsys, load, element, said
+):
+    scene = _scene("0w")
+    azimuth = 0.0 if load == "bending" else None
+    test = dataclasses.replace(
+        scene.tensile, load=load, element=element, bending_azimuth=azimuth, lateral="clamped"
+    )
+    held = dataclasses.replace(scene, holds=(HoldScene("shank", MESH, test),))
+    cycle = LifeCycle(held, tmp_path, progress=LineProgress(sys.stderr))
+    with pytest.raises(RunFolderError):  # nothing is mapped yet
+        cycle.pull([("Mg-A", held.immersion[0], held.holds[0])])
+    words = "of a plastic bar in torsion by 59 % with P1, 7 % with P1-Fbar"
+    assert (words in capsys.readouterr().err) == said
+
+
 def test_a_finished_run_is_kept(tmp_path, calls):
     scene = _scene("0w", "1w", "8w")
     first = LifeCycle(scene, tmp_path).run()
