@@ -6,6 +6,7 @@ nothing half-written), 130 interrupted (the run folder can be resumed).
 
 import argparse
 import errno
+import importlib
 import json
 import logging
 import os
@@ -418,22 +419,11 @@ def _study(options: argparse.Namespace) -> int:
     if options.what == "published":
         from pipeline.studies.published import print_published
 
-        print_published(options.long)
+        print_published(options.long, Path(options.out) if options.out else None)
         return 0
-    if options.what == "rates":
-        from pipeline.studies.rates import print_rates
-
-        print_rates()
-        return 0
-    if options.what == "boundaries":
-        from pipeline.studies.boundaries import print_boundaries
-
-        print_boundaries()
-        return 0
-    if options.what == "saturation":
-        from pipeline.studies.saturation import print_saturation
-
-        print_saturation()
+    if options.what in ("rates", "boundaries", "saturation"):  # print, and need nothing
+        study = importlib.import_module(f"pipeline.studies.{options.what}")
+        getattr(study, f"print_{options.what}")()
         return 0
     if options.what == "calibration":
         from pipeline.studies.calibration import study_calibration

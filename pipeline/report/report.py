@@ -44,6 +44,7 @@ from pipeline.report.wording import (
     status_in_words,
     until_it_gives_way,
 )
+from pipeline.scene import published
 from pipeline.scene.holding import HOLDINGS
 from pipeline.scene.loads import LOADS, LoadNames
 from pipeline.scene.scene import ScrewGeometry
@@ -116,6 +117,7 @@ def write_report(run_folder: Path | str) -> Path:
         deed=load.deed + until_it_gives_way(a for alloys in run.held.values() for a in alloys),
         headlines=[_answer(run, alloy, load) for alloy in run.alloys],
         holds=_holds(run),
+        published=_published(run),
         hold_times=[duration(t.seconds) for t in run.scene.immersion if t.seconds > 0],
         parameter_set=_parameter_set(run),
         preset=doubts.settings_name(run.scene),
@@ -192,6 +194,21 @@ def _holds(run: RunResults) -> list[dict[str, object]]:
             }
         )
     return found
+
+
+def _published(run: RunResults) -> dict[str, object] | None:
+    """What is known of the published tests, where a run pulls the end faces of the screw, too."""
+    pulled = any(hold.name == "faces" for hold in run.scene.holds)
+    theirs = any(alloy.name in published.ALLOYS for alloy in run.scene.alloys)
+    axial = run.scene.tensile.load == "axial"
+    if not (pulled and theirs and axial and isinstance(run.scene.geometry, ScrewGeometry)):
+        return None
+    return {
+        "outcome": published.OUTCOME,
+        "known": published.KNOWN,
+        "inferred": published.INFERRED,
+        "unsaid": published.UNDECIDED,
+    }
 
 
 def _depth(length: float) -> str:

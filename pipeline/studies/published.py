@@ -8,6 +8,7 @@ every reading shows it, as not reproduced if none does, else as not decidable.
 
 from __future__ import annotations
 
+import os
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.scene.published import UNDECIDED
 from pipeline.scene.resolve import DEFAULT_PARAMETER_SET, resolve_scene
 from pipeline.scene.scene import DomainSettings
 from pipeline.stages.damage_map import net_section
@@ -28,6 +30,8 @@ SHORT = ("1w", "8w", "24w")
 LENGTH_FACTOR = 1.1275
 """Factor on l of Eq. 5.14, published for the run on the finest lattice (Table 5.2)."""
 
+FILE = "published.md"
+TITLE = "The published tensile outcome beside what pulled end faces give"
 INCREMENT = 0.005
 LAYER = 50e-6
 """Edge length at the pulled faces: half of the quick lattice's spacing."""
@@ -111,17 +115,6 @@ STATEMENTS = (
     Statement("every degraded screw less ductile (strain at the peak)", _less_ductile),
     Statement(f"but {FAST} after 1 week, as ductile as before", _first_week_as_ductile),
 )
-
-UNDECIDED = (
-    "horizon of the run on the 50 um lattice",
-    "liquid around the screw (the axial margin of 0.4 mm is derived from a node count)",
-    "time step of the saturation model",
-    "hardening curves of the two alloys",
-    "whether faces or prongs were held, and laterally",
-    "how the damage got to the mesh, and whether cells at its limit were deleted",
-    "what ductility was measured by",
-)
-"""What the text does not say; the figures are lost."""
 
 
 @dataclass(frozen=True)
@@ -269,7 +262,21 @@ def tables(tests: Sequence[Reading], by_layer: Sequence[Reading]) -> list[str]:
     return lines
 
 
-def print_published(long: bool = False) -> None:
-    """Run the study and print its tables."""
+def print_published(long: bool = False, out: Path | None = None) -> None:
+    """Run the study, print its tables and, with a folder, write them there."""
     found = study_published(lambda line: print(line, flush=True), long)
-    print("\n" + "\n".join(tables(*found)))
+    lines = tables(*found)
+    print("\n" + "\n".join(lines))
+    if out is not None:
+        command = f"perilife study published{' --long' * long} --out {out}"
+        print(write_published(lines, out / FILE, command))
+
+
+def write_published(lines: Sequence[str], path: Path, command: str) -> Path:
+    """The tables as a Markdown file that names the command that made it, in one step."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    text = "\n".join([f"# {TITLE}", "", f"Written by `{command}`.", "", *lines, ""])
+    temporary = path.with_name(f".{path.name}")
+    temporary.write_text(text, encoding="utf-8")
+    os.replace(temporary, path)
+    return path

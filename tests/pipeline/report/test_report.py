@@ -76,6 +76,7 @@ def test_the_answer_comes_first_one_sentence_for_each_alloy(full):
 
 def test_table_pictures_and_curves_are_complete(full):
     path, page, text = full
+    assert "Known from its text" not in text  # no end face is pulled
     assert all(word in page.sections["table"] for word in ("Mg-5Gd", "severed", "21 %", "8 weeks"))
     assert len(page.pictures) == 2 * 4 * 2  # alloys, times, whole and cut
     assert all(picture["alt"] for picture in page.pictures)
@@ -218,6 +219,7 @@ def test_each_way_of_holding_has_its_question_its_table_and_its_curves(tmp_path,
     assert text.count('<table class="summary">') == 3
     assert text.count("<svg") == 3 + 1 + 3  # strength, volume loss, force-elongation
     assert "held by slot has not been measured" in page.sections["sure"]
+    assert "773,005 cells" in ways and "horizon of the run on the 50 µm lattice" in ways
 
 
 @pytest.mark.parametrize(

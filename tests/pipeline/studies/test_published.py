@@ -84,3 +84,10 @@ def test_the_outermost_layer_of_the_screw_after_24_weeks(tmp_path):
     shop.corrode(study.FAST, ["0w", "24w"])
     bottom, top = study.weakest_layers(shop.field("", study.FAST, "24w"))
     assert (top, bottom) == pytest.approx((0.0857, 0.1340), abs=0.002)
+
+
+def test_the_tables_are_written_with_the_command_that_made_them(tmp_path):
+    path = study.write_published(["| a | b |"], tmp_path / "new" / study.FILE, "perilife study x")
+    lines = path.read_text().splitlines()
+    assert lines[0] == f"# {study.TITLE}" and "Written by `perilife study x`." in lines
+    assert lines[-1] == "| a | b |" and [p.name for p in path.parent.iterdir()] == [study.FILE]
