@@ -7,10 +7,15 @@ the rooms that BELOW names; large rooms have rooms of their own, under the same 
 """
 
 import ast
-from collections.abc import Container, Iterator
+import functools
+from collections.abc import Container
+from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDERS = {"peri": "peri", "fem": "fem", "pipeline": "pipeline", "data": "perilife_data"}
@@ -131,10 +136,46 @@ BELOW = {
 STANDARD_LIBRARY = frozenset(__import__("sys").stdlib_module_names)
 
 
-def sources(root: Path, folder: str) -> Iterator[tuple[str, ast.Module]]:
-    """Yield the path below root and the syntax tree of every Python file of a folder."""
-    for path in sorted((root / folder).rglob("*.py")):
-        yield path.relative_to(root).as_posix(), ast.parse(path.read_text(encoding="utf-8"))
+@dataclass(frozen=True)
+class Source:
+    """What the rules want to know of a file; its syntax tree is read once.
+
+    path : below root.  imports : of each import the level, the module and the names taken from it
+    (None for `import module`).  calls : line and dotted name of every call, and whether it has
+    positional arguments.
+    """
+
+    path: str
+    imports: list[tuple[int, str, list[str] | None]]
+    calls: list[tuple[int, str, bool]]
+
+
+def read(root: Path, path: Path) -> Source:
+    """Read one file."""
+    source = Source(path.relative_to(root).as_posix(), [], [])
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            source.imports.extend((0, alias.name, None) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            names = [alias.name for alias in node.names]
+            source.imports.append((node.level, node.module or "", names))
+        elif isinstance(node, ast.Call):
+            source.calls.append((node.lineno, dotted(node.func), bool(node.args)))
+    return source
+
+
+def dotted(function: ast.expr) -> str:
+    """Return a name such as logging.getLogger; empty for what is not a plain one."""
+    if isinstance(function, ast.Attribute):
+        owner = dotted(function.value)
+        return f"{owner}.{function.attr}" if owner else ""
+    return function.id if isinstance(function, ast.Name) else ""
+
+
+@functools.cache
+def sources(root: Path, folder: str) -> tuple[Source, ...]:
+    """Return every Python file of a folder; the files are read once and not looked at again."""
+    return tuple(read(root, path) for path in sorted((root / folder).rglob("*.py")))
 
 
 def module_name(path: str) -> str:
@@ -143,36 +184,39 @@ def module_name(path: str) -> str:
     return ".".join([FOLDERS[folder], *(part for part in rest if part != "__init__")])
 
 
-def imported_modules(path: str, tree: ast.Module, known: Container[str] = ()) -> set[str]:
+def imported_modules(source: Source, known: Container[str] = ()) -> set[str]:
     """Return the absolute names of all modules a file imports, wherever the import stands.
 
     `from a import b` counts as a.b where that is a known module, as a otherwise.
     """
-    package = module_name(path).split(".")
-    if Path(path).name != "__init__.py":
+    package = module_name(source.path).split(".")
+    if Path(source.path).name != "__init__.py":
         package = package[:-1]
     found: set[str] = set()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            base = package[: len(package) - node.level + 1] if node.level else []
-            module = ".".join([*base, *([node.module] if node.module else [])])
-            names = {f"{module}.{alias.name}" for alias in node.names}
-            found |= {name if name in known else module for name in names}
+    for level, target, names in source.imports:
+        base = package[: len(package) - level + 1] if level else []
+        module = ".".join([*base, *([target] if target else [])])
+        full = [f"{module}.{name}" for name in names or ()]
+        found |= {module} if names is None else {n if n in known else module for n in full}
     return found
+
+
+def top_names(source: Source) -> set[str]:
+    """Return the packages that a file imports."""
+    return {name.split(".")[0] for name in imported_modules(source)}
 
 
 def foreign_imports(root: Path) -> list[str]:
     """Return what a library imports beyond the standard library, itself and its allowed list."""
     found = []
     for folder in LIBRARIES:
-        for path, tree in sources(root, folder):
+        for source in sources(root, folder):
+            path = source.path
             allowed = THIRD_PARTY[folder] | MORE_ALLOWED.get(path, set()) | {FOLDERS[folder]}
             if path.startswith("fem/constitutive/"):
                 allowed = allowed - DOLFINX - PARALLEL  # testable without any of them
-            tops = {name.split(".")[0] for name in imported_modules(path, tree)}
-            found += [f"{path}: {top}" for top in sorted(tops - allowed - STANDARD_LIBRARY)]
+            beyond = top_names(source) - allowed - STANDARD_LIBRARY
+            found += [f"{path}: {top}" for top in sorted(beyond)]
     return found
 
 
@@ -180,8 +224,8 @@ def misplaced_imports(root: Path) -> list[str]:
     """Return imports of dolfinx outside fem and of gmsh outside pipeline/geometry."""
     found = []
     for folder in FOLDERS:
-        for path, tree in sources(root, folder):
-            tops = {name.split(".")[0] for name in imported_modules(path, tree)}
+        for source in sources(root, folder):
+            path, tops = source.path, top_names(source)
             if folder != "fem":
                 found += [f"{path}: {top}" for top in sorted(tops & DOLFINX)]
             if not path.startswith(GMSH) and "gmsh" in tops:
@@ -190,24 +234,23 @@ def misplaced_imports(root: Path) -> list[str]:
 
 
 def import_cycles(root: Path, folder: str) -> list[str]:
-    """Return the modules of a package that, directly or through others, import themselves."""
-    trees = {module_name(path): (path, tree) for path, tree in sources(root, folder)}
-    direct = {
-        name: imported_modules(path, tree, trees) & trees.keys()
-        for name, (path, tree) in trees.items()
-    }
-    cyclic = []
-    for start in direct:
-        seen: set[str] = set()
-        stack = list(direct[start])
-        while stack:
-            module = stack.pop()
-            if module not in seen:
-                seen.add(module)
-                stack += direct.get(module, ())
-        if start in seen:
-            cyclic.append(start)
-    return cyclic
+    """Return the modules of a package that, directly or through others, import themselves.
+
+    They are those that share a strong component of the graph of imports, or import themselves.
+    """
+    named = {module_name(source.path): source for source in sources(root, folder)}
+    number = {name: n for n, name in enumerate(named)}
+    arrows = [
+        (number[name], number[other])
+        for name, source in named.items()
+        for other in imported_modules(source, named) & named.keys()
+    ]
+    rows, columns = np.array(arrows, int).reshape(-1, 2).T
+    graph = csr_matrix((np.ones(rows.size), (rows, columns)), (len(named), len(named)))
+    _, component = connected_components(graph, directed=True, connection="strong")
+    shared = np.bincount(component)[component] > 1
+    shared[rows[rows == columns]] = True
+    return [name for name, n in number.items() if shared[n]]
 
 
 def room_in(house: str, module: str) -> str:
@@ -222,15 +265,15 @@ def climbing_imports(root: Path) -> list[str]:
         package = house.split(".")[0]
         if not (root / house.replace(".", "/")).is_dir():
             continue
-        trees = {module_name(path): (path, tree) for path, tree in sources(root, package)}
-        for name, (path, tree) in trees.items():
-            room = room_in(house, name)
+        named = {module_name(source.path): source for source in sources(root, package)}
+        for name, source in named.items():
+            path, room = source.path, room_in(house, name)
             if room and room not in rooms:
                 found.append(f"{path}: a room without a row")
                 continue
             if not name.startswith(house):
                 continue
-            for other in sorted(imported_modules(path, tree, trees) & trees.keys()):
+            for other in sorted(imported_modules(source, named) & named.keys()):
                 target = room_in(house, other)
                 if target and target != room and target not in rooms.get(room, set()):
                     found.append(f"{path}: {other}")
@@ -251,33 +294,30 @@ def test_every_row_names_rooms_that_exist() -> None:
 def talking_libraries(root: Path) -> list[str]:
     """Return where a library prints or uses the root logger instead of its own."""
     root_logger = {"debug", "info", "warning", "error", "critical", "basicConfig"}
-    found = []
-    for folder in LIBRARIES:
-        for path, tree in sources(root, folder):
-            for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
-                name = ast.unparse(call.func)
-                own = name == "logging.getLogger" and call.args
-                if name == "print" or (name == "logging.getLogger" and not own):
-                    found.append(f"{path}:{call.lineno}: {name}")
-                if name.startswith("logging.") and name.split(".")[1] in root_logger:
-                    found.append(f"{path}:{call.lineno}: {name}")
-    return found
+    root_logger = {f"logging.{name}" for name in root_logger}
+    return [
+        f"{source.path}:{line}: {name}"
+        for folder in LIBRARIES
+        for source in sources(root, folder)
+        for line, name, named in source.calls
+        if name in {"print"} | root_logger or (name == "logging.getLogger" and not named)
+    ]
 
 
 def pickles(root: Path) -> list[str]:
     """Return the files that import pickle or one of its relatives."""
     relatives = {"pickle", "dill", "joblib", "shelve", "marshal"}
     return [
-        path
+        source.path
         for folder in FOLDERS
-        for path, tree in sources(root, folder)
-        if relatives & {name.split(".")[0] for name in imported_modules(path, tree)}
+        for source in sources(root, folder)
+        if relatives & top_names(source)
     ]
 
 
 @pytest.mark.parametrize("folder", FOLDERS)
 def test_every_package_has_sources(folder: str) -> None:
-    assert len(list(sources(ROOT, folder))) >= 3
+    assert len(sources(ROOT, folder)) >= 3
 
 
 def test_libraries_import_only_what_is_theirs() -> None:
