@@ -178,6 +178,11 @@ def _check_scheme(problem: CorrosionProblem, stepping: TimeStepping) -> None:
             "scheme: 'sdirk2' with saturation 'as_published'; its switch lasts for a step, so "
             "use backward_euler with a fixed step"
         )
+    if problem.scene.saturation == "as_published" and stepping.controlled:
+        raise ValueError(
+            "step: controlled, with saturation 'as_published'; its switch turns on and off from "
+            "step to step however short they are, so give one"
+        )
     law = problem.scene.dissolution
     if stepping.scheme not in law.schemes:
         raise ValueError(

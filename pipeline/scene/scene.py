@@ -150,6 +150,10 @@ class CorrosionSettings:
             check(self.saturation != "as_published", "saturation", self.saturation, bounded)
             implicit = "sdirk2 or backward_euler where dissolution is faradaic"
             check(self.scheme != "forward_euler", "time scheme", self.scheme, implicit)
+        if self.saturation == "as_published":
+            given = self.step is not None or self.scheme == "forward_euler"
+            allowed = "a fixed one where saturation is as_published, whose switch lasts for a step"
+            check(given, "corrosion step", "controlled", allowed)
         one_of("calibration", self.calibration, CALIBRATIONS)
         one_of("influence function", self.influence, ("constant", "linear"))
         check(0 <= self.kernel_exponent < 1, "kernel exponent", self.kernel_exponent, "in [0, 1)")

@@ -17,6 +17,7 @@ class Balance:
 
     def __init__(self, phases: Phases) -> None:
         self.phases, scene = phases, phases.scene
+        self._highest = phases.of_solids([solid.concentration for solid in scene.solids])
         self.liquid_below = scene.dissolution.liquid_below(scene)
         volumes = phases.volumes()
         contents = [solid.concentration for solid in scene.solids]
@@ -55,14 +56,17 @@ class Balance:
 
     def close(
         self, result: np.ndarray, old: np.ndarray, released: float, active: np.ndarray
-    ) -> None:
+    ) -> float:
         """Scale the liquid (or the metal) so that the stage's amounts add up to round-off.
 
         What is missing is the sum of the linear solver's residual, which would add up over the
         steps (and is the solver's round-off, not its tolerance, for very stiff ones).  The factor
         differs from 1 by no more than that.  Where the liquid is too clean to hold it, or all of
-        it is held at C_sat, what the metal loses takes it (or, at rest, less than 1e-9 of the
-        metal), so that no node rises above its old value.
+        it is held at C_sat, what the metal loses takes it, so that no node rises above its old
+        value or falls below zero; at rest the metal itself does, by 1e-9 of it at most and up to
+        its C_solid; where there is no metal either, what is released does.
+
+        released : mol.  Returns what is to be added to it.
         """
         p = self.phases
         total = p.processes.total
@@ -71,16 +75,24 @@ class Balance:
         content = p.capacity * result
         liquid = total(float(content[solved].sum()))
         change = content - p.capacity * np.where(p.free | p.metal, old, 0.0)
-        missing = -total(float(change.sum())) - released / p.scene.lattice.cell_volume
+        passed = released / p.scene.lattice.cell_volume
+        missing = -total(float(change.sum())) - passed
         if liquid > 0 and abs(missing) <= 1e-6 * liquid:
             result[solved] *= 1.0 + missing / liquid
-            return
+            return 0.0
         metal = total(float(content[p.metal].sum()))
         lost = -total(float(change[p.metal].sum()))
-        if lost > 0 and abs(missing) <= 1e-3 * lost:
+        if 0 < missing <= 1e-3 * lost:
             result[p.metal] += missing / lost * (old - result)[p.metal]
-        elif missing < 0 and -missing <= 1e-9 * metal:
+        elif missing < 0 and -missing <= min(max(1e-3 * lost, 1e-9 * metal), 1e-3 * metal):
             result[p.metal] *= 1.0 + missing / metal
+        elif 0 < missing <= 1e-9 * metal:
+            room = np.maximum(self._highest - result, 0.0)[p.metal]
+            space = total(float((p.capacity[p.metal] * room).sum()))
+            result[p.metal] += min(1.0, missing / space) * room if space > 0 else 0.0
+        elif abs(missing) <= min(1e-3 * passed, max(1e-6 * passed, 1e-9 * self.metal_scale)):
+            return missing * p.scene.lattice.cell_volume
+        return 0.0
 
     def release_rate(
         self, liquid: np.ndarray, exchange: Exchange | None, metal: np.ndarray | None

@@ -229,9 +229,11 @@ class CorrosionProblem(FirstOrder):
         if not self.scene.dissolution.admissible(self.discrete, stages):
             return False
         new, before = stages[-1].fields["concentration"], old.fields["concentration"]
-        rounding = 1e-12 * self.scene.highest_concentration
+        highest = self.scene.highest_concentration
+        rounding = 1e-12 * highest
         metal = self.discrete.metal
         out = np.any(new[metal] > before[metal] + rounding) or new.min() < -rounding
+        out |= new.max() > highest + rounding
         if self.scene.saturation == "complementarity":
             # The stages watch the liquid within reach of the metal; beyond it only this does.
             liquid = new[self.discrete.free].max(initial=0.0)

@@ -25,6 +25,8 @@ _LOSS_TOLERANCE = 1e-9
 _DRIFT = 1e-7
 """How well a stage has to know the liquid that the kinetics sees, relative."""
 _ROUND_REDUCTION = 0.1
+_ROUND_OFF = 4 * np.finfo(float).eps
+"""Of a sum over bonds relative to its largest terms: no residual is known better."""
 
 
 @dataclass
@@ -119,7 +121,7 @@ class StageSolver:
         result = np.where(d.free, y, 0.0)
         view = result[d.window]
         view[d.box_metal[d.box.interior]] = (metal + exchange.gained)[d.box_metal]
-        d.balance.close(result, old, tau * release, held.active)
+        release += d.balance.close(result, old, tau * release, held.active) / tau
         emptied = None if exchange.emptied is None else d.put(exchange.emptied) > 0
         return Stage(
             result, held.theta, volume_loss, release, iterations, rounds, emptied, exchange.late()
@@ -183,8 +185,30 @@ class StageSolver:
             source *= d.take(system.mask)
             r[d.window] += source[d.box.interior]
         wanted = d.tolerance * scale
+        floor = _ROUND_OFF * d.scene.liquid_diffusivity * self._norm(system.weight * y)
+        floor *= d.processes.largest(float(d.neighbour_liquid.max()))
+        wanted = max(wanted, floor)
         enough = max(wanted, _ROUND_REDUCTION * self._norm(r)) if held else wanted
-        return system.solve(y, r, enough), enough <= wanted
+        iterations = system.solve(y, r, enough)
+        if wanted == floor and not held and not d.is_open:
+            self._level(y, right, exchange)
+        return iterations, enough <= wanted
+
+    def _level(self, y: np.ndarray, right: _Right, exchange: Exchange | None) -> None:
+        """Scale closed liquid (in place) so that the amounts add up, where round-off hides that.
+
+        In a step far longer than diffusion takes, the level of the liquid is known by its storage
+        alone, which the rounding of the bonds' sums exceeds.
+        """
+        d, total = self.d, self.d.processes.total
+        now = follows = total(float((d.free_volume * y).sum()))
+        if exchange is not None:
+            metal, alone = (exchange.metal_concentration(d.take(v)) for v in (y, np.zeros_like(y)))
+            now += total(float((d.box_metal_volume * (metal + exchange.gained)).sum()))
+            follows += total(float((d.box_metal_volume * (metal - alone)).sum()))
+        before = total(float((d.capacity * right.old)[d.free | d.metal].sum()))
+        if follows > 0:
+            y[d.free] *= min(2.0, max(0.5, 1.0 + (before - now) / follows))
 
     def _norm(self, values: np.ndarray) -> float:
         squares = float(kernels.inner_product(values, values).sum())

@@ -63,7 +63,8 @@ class RungeKutta:
                 kept = course.step if step < course.step else 0.0
                 course.step = max(step if jump else proposal, kept)
             elif stepping.step is not None:
-                course.step = stepping.step
+                # One that had to be shortened grows back by and by.
+                course.step = min(stepping.step, 4.0 * step)
             break
         new = _reached(problem, course.state, stages, step, target)
         problem.accept(new, stages, step)

@@ -391,5 +391,7 @@ def test_explicit_step_where_only_the_metal_limits_it():
 def test_other_refusals():
     with pytest.raises(ValueError, match="scheme: 'sdirk2' with saturation 'as_published'"):
         corrode(pin(1, 10, saturation="as_published"), [1.0])
+    with pytest.raises(ValueError, match="step: controlled, with saturation 'as_published'"):
+        corrode(pin(1, 10, saturation="as_published"), [1.0], TimeStepping("backward_euler"))
     with pytest.raises(ValueError, match="step: .* exceeds the explicit stability limit"):
         corrode(pin(1, 10), [1e9], TimeStepping("forward_euler", step=1e8))

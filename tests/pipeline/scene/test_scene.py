@@ -168,6 +168,10 @@ def test_unknown_missing_and_mistyped_fields_are_named(scene):
         ),
         (lambda: CorrosionSettings(saturation="as_published"), "time scheme is sdirk2"),
         (
+            lambda: CorrosionSettings("backward_euler", saturation="as_published"),
+            "corrosion step is controlled; it must be a fixed one where saturation is as_pub",
+        ),
+        (
             lambda: CorrosionSettings(
                 "backward_euler", saturation="as_published", dissolution="faradaic"
             ),
