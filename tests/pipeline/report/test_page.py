@@ -3,13 +3,16 @@
 import base64
 import csv
 import io
+import json
+import re
 import zlib
 
 import numpy as np
 import pytest
 
 from pipeline.record.run_results import read_run
-from pipeline.report import picture_set, plots, solid_view
+from pipeline.record.summary import read_summary, write_summary
+from pipeline.report import doubts, picture_set, plots, provenance, report, solid_view
 from pipeline.report.downloads import downloads
 from pipeline.report.pictures import damage_at_points, refine_tetrahedra
 from tests.pipeline.report.run_folders import RATIOS, pin_mesh, scene_of, write_run
@@ -79,6 +82,30 @@ def test_tables_in_the_page_are_those_of_the_run(run):
     np.testing.assert_allclose(one, curve, rtol=1e-7)  # eight digits are written
     history = list(csv.DictReader(io.StringIO(text["history.csv"])))
     assert [r["alloy"] for r in history] == 40 * ["Mg-5Gd"] + 40 * ["Mg-10Gd"]
+
+
+def test_the_intact_solid_has_a_row_where_it_was_only_pulled(tmp_path):
+    path = write_run(tmp_path / "run", scene_of(("Mg-5Gd",), ("0w", "8w")), *pin_mesh(1e-3))
+    rows = read_summary(path / "summary.csv")
+    write_summary(path / "summary.csv", [row for row in rows if row.immersion_days > 0])
+    (path / "scene.json").write_text(json.dumps(scene_of(("Mg-5Gd",), ("8w",)).to_json()))
+    (path / "geometry" / "mesh.h5").unlink()  # no pictures
+    text = report.write_report(path).read_text()
+    table = text[text.index('<section id="table">') : text.index('<section id="pictures">')]
+    rows = [re.sub("<[^>]*>", "|", row) for row in re.findall("<tr>.*?</tr>", table, re.DOTALL)]
+    cells = [[cell for cell in row.split("|") if cell.strip()] for row in rows[1:]]
+    assert [row[:4] for row in cells] == [
+        ["Mg-5Gd", "0 weeks", "100 %", "458 N"],  # 500 (1 - exp(-60 e)) (1 - e), as written
+        ["8 weeks", "71 %", "325 N", "4.5 %"],
+    ]
+
+
+def test_no_name_of_the_code_and_no_noise_is_shown(run):
+    names = {entry["what"] for entry in doubts.omissions(run)}
+    assert "solid core" in names and not any("_" in name for name in names)
+    shown = [text for group in provenance.settings(run.scene).values() for _, text in group]
+    assert "nothing" in shown and not {"()", "[]", "None"} & set(shown)
+    assert doubts._small(0.0) == "0" and doubts._small(3e-13) == "3e-13"
 
 
 def test_values_can_be_read_off_the_curves(run):
