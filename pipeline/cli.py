@@ -62,6 +62,9 @@ def build_parser() -> argparse.ArgumentParser:
     _add_folder_options(run, resume=True)
     _add_machine_options(run)
     run.add_argument(
+        "--ranks", type=int, default=1, metavar="N", help="MPI ranks of each corrosion march (1)"
+    )
+    run.add_argument(
         "--samples",
         type=int,
         metavar="N",
@@ -73,6 +76,13 @@ def build_parser() -> argparse.ArgumentParser:
         default=0.01,
         metavar="X",
         help="of the strength curve behind the bands, of the intact strength (0.01)",
+    )
+    run.add_argument(
+        "--surrogate",
+        type=int,
+        metavar="N",
+        help="with --samples, where the liquid counts: Kriging through at most N marches and their "
+        "tests (needs perilife[surrogate])",
     )
     geometry = add("geometry", _geometry, "begin a run folder: solid and mesh of a scene")
     add_scene_options(geometry)
@@ -223,9 +233,12 @@ def _run(options: argparse.Namespace) -> int:
     from pipeline.record.machine import check_counts
     from pipeline.record.progress import progress_for
     from pipeline.record.run_folder import RunFolder
+    from pipeline.stages.march_on_ranks import check_ranks
 
     check_counts(options.np, options.pulls, options.oversubscribe)
+    check_counts(options.ranks, None, options.oversubscribe, "--ranks")
     scene, solid = _scene(options)
+    check_ranks(scene, options.ranks)
     folder = RunFolder(options.out)
     with progress_for(sys.stderr, options.quiet) as progress:
         shared = {
@@ -233,6 +246,7 @@ def _run(options: argparse.Namespace) -> int:
             "ranks": options.np,
             "workers": options.pulls,
             "progress": progress,
+            "march_ranks": options.ranks,
         }
         if options.samples is None:
             rows = run_life_cycle(scene, folder, solid=solid, **shared)
@@ -240,6 +254,7 @@ def _run(options: argparse.Namespace) -> int:
             from pipeline.campaigns.bands import run_with_bands
 
             shared["tolerance"] = options.strength_tolerance
+            shared["surrogate"] = options.surrogate
             rows = run_with_bands(scene, folder.path, options.samples, **shared)
     print_summary(rows)
     if options.samples is not None:

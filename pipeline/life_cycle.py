@@ -43,10 +43,11 @@ def run_life_cycle(
     workers: int | None = None,
     progress: Progress | None = None,
     solid: object = None,
+    march_ranks: int = 1,
 ) -> list[SummaryRow]:
     """Check the scene, open (or with `resume` reopen) the run folder `out` and do every stage.
 
-    solid: that of the scene, where it has been built already.
+    solid: that of the scene, where it has been built already; march_ranks: MPI ranks of each march.
     Returns the rows of summary.csv.  Raises ValueError, OSError or MemoryError with one sentence
     for what cannot be computed, TensileStageError for a tensile test without a result.
     """
@@ -58,8 +59,9 @@ def run_life_cycle(
         scene, path, resume, solid=solid, stages=stages, ranks=ranks, workers=workers
     ) as (folder, solid):
         cycle = LifeCycle(
-            scene, folder, ranks=ranks, workers=workers, progress=progress, solid=solid
-        )
+            scene, folder, ranks=ranks, workers=workers, progress=progress, solid=solid,
+            march_ranks=march_ranks,
+        )  # fmt: skip
         return cycle.run()
 
 
@@ -67,7 +69,7 @@ class LifeCycle:
     """One run: a scene, its folder, how many MPI ranks per pull and how many pulls at a time.
 
     workers: None takes as many as the cores allow.  solid: the solid of the scene where it has
-    been built already.
+    been built already.  march_ranks: MPI ranks of each march, 1 for this very process.
     """
 
     def __init__(
@@ -79,7 +81,9 @@ class LifeCycle:
         workers: int | None = None,
         progress: Progress | None = None,
         solid: object = None,
+        march_ranks: int = 1,
     ):
+        self.march_ranks = march_ranks
         self.scene = scene
         self.folder = folder if isinstance(folder, RunFolder) else RunFolder(folder)
         self.ranks = ranks
@@ -125,23 +129,24 @@ class LifeCycle:
     def corrode(self, alloy: str) -> StageRecord:
         """Corrosion of one alloy, one march through all immersion times."""
         from pipeline.stages.corrosion import corrode_in_folder
+        from pipeline.stages.march_on_ranks import corrode_on_ranks
 
         self._needs("geometry", self.folder.geometry, geometry_hash(self.scene))
         key, folder = f"corrode {alloy}", self.folder.corrosion(alloy)
-        inputs = corrosion_hash(self.scene, alloy)
-        return self._do(
-            "corrode",
-            key,
-            folder,
-            inputs,
-            lambda: corrode_in_folder(
-                self.scene,
-                alloy,
-                self.folder.geometry,
-                folder,
-                lambda fraction, text="": self.progress.advanced(key, fraction, text),
-            ),
-        )
+        inputs, place = corrosion_hash(self.scene, alloy), self.folder.geometry
+
+        def advanced(fraction: float, text: str = "") -> None:
+            self.progress.advanced(key, fraction, text)
+
+        def work() -> Outcome:
+            if self.march_ranks == 1:
+                return corrode_in_folder(self.scene, alloy, place, folder, advanced)
+            return corrode_on_ranks(
+                self.scene, alloy, place, folder, self.march_ranks, advanced,
+                self.folder.descriptors,
+            )  # fmt: skip
+
+        return self._do("corrode", key, folder, inputs, work)
 
     def map(self, alloy: str, moment: ImmersionTime, hold: HoldScene) -> StageRecord:
         """Corrosion damage of one alloy after one immersion time on the mesh of a holding."""

@@ -280,9 +280,13 @@ def corrode_lean(
     progress: Callable[[float, str], None] | None = None,
     checkpoint: Path | None = None,
     resume: bool = False,
+    march_by: Callable[..., CorrosionResult] = corrode,
     **march,
 ) -> tuple[CorrosionResult, list[Omission]]:
-    """`corrode` without what the scene does not need; also returns what was left out."""
+    """`corrode` without what the scene does not need; also returns what was left out.
+
+    march_by: what marches, `corrode` or a function that takes the same (`ranks.corrode`).
+    """
     problem = _discrete(scene)
     omissions, domain = _plan(scene, problem, float(np.max(times)), tolerance, refused)
     if any(o.name == LIQUID and o.applied for o in omissions):
@@ -292,7 +296,7 @@ def corrode_lean(
     marched = scene
     if any(o.name == FAR_LIQUID and o.applied for o in omissions):
         marched = replace(scene, domain=domain)
-    result = corrode(
+    result = march_by(
         marched, times, stepping, progress=progress, checkpoint=checkpoint, resume=resume, **march
     )
     return replace(result, scene=scene), omissions

@@ -1,8 +1,7 @@
 """Kriging for scenes where every evaluation is a march: Gaussian processes in the logarithms.
 
-A surrogate states its box and refuses to leave it, in the parameters and in time.  Matern 5/2 with
-a length per parameter; where a cheap model exists (the reduced one), the surrogate learns the
-difference from it.  Its error is that of leaving one point out, in closed form,
+A surrogate states its box and refuses to leave it.  Matern 5/2 with a length per parameter; where a
+cheap model exists (the reduced one), the surrogate learns the difference from it.  Its error is that of leaving one point out, in closed form,
 e_i = [K^-1 y]_i / [K^-1]_ii (Dubrule 1983), and both the mean and the worst are reported: the mean,
 (5.36) of the source, hides a worst case twenty times as large.
 
@@ -11,7 +10,9 @@ Needs scikit-learn (the extra `surrogate`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import importlib.util
+import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -91,6 +92,14 @@ class LeaveOneOut:
         return float(np.abs(self.errors).max())
 
 
+def require_kriging() -> None:
+    """Refuse to go on without scikit-learn; CalibrationError says what to install."""
+    if importlib.util.find_spec("sklearn") is None:
+        raise CalibrationError(
+            "a surrogate needs scikit-learn, which is not installed; install perilife[surrogate]"
+        )
+
+
 class Surrogate:
     """One quantity as a function of the parameters of a box, and of nothing outside it.
 
@@ -108,14 +117,11 @@ class Surrogate:
         logarithms: bool = True,
         seed: int = 0,
     ):
-        try:
-            from sklearn.gaussian_process import GaussianProcessRegressor
-            from sklearn.gaussian_process.kernels import ConstantKernel, Matern
-        except ImportError:
-            raise CalibrationError(
-                "a surrogate needs scikit-learn, which is not installed; install "
-                "perilife[surrogate]"
-            ) from None
+        require_kriging()
+        from sklearn.exceptions import ConvergenceWarning
+        from sklearn.gaussian_process import GaussianProcessRegressor
+        from sklearn.gaussian_process.kernels import ConstantKernel, Matern
+
         self.box, self.cheap, self.logarithms = box, cheap, logarithms
         self.points = np.atleast_2d(np.asarray(points, float))
         self.values = np.asarray(values, float)
@@ -129,7 +135,10 @@ class Surrogate:
         self._process = GaussianProcessRegressor(
             kernel, alpha=_NUGGET, n_restarts_optimizer=2, random_state=seed
         )
-        self._process.fit(self._inputs(self.points), (learned - self._offset) / self._scale)
+        with warnings.catch_warnings():
+            # a search for the lengths that ends early is judged by what leaving one out gives
+            warnings.simplefilter("ignore", ConvergenceWarning)
+            self._process.fit(self._inputs(self.points), (learned - self._offset) / self._scale)
 
     def _inputs(self, points: ArrayLike) -> Array:
         scaled = self.box.scaled(points)
@@ -151,58 +160,3 @@ class Surrogate:
         errors = self._scale * (inverse @ self._process.y_train_) / np.diag(inverse)
         spread = float(np.sum((self.values - self.values.mean()) ** 2)) or 1.0
         return LeaveOneOut(errors, float(np.sum(errors**2) / spread))
-
-
-def refined(
-    evaluate: Callable[[Array], Array],
-    box: Box,
-    *,
-    first: int = 20,
-    most: int = 60,
-    worst: float = WORST_ALLOWED,
-    cheap: Callable[[Array], Array] | None = None,
-    seed: int = 0,
-) -> Surrogate:
-    """A surrogate to which points are added where its predicted doubt is largest.
-
-    evaluate: parameters (n, np) to values (n,).  Ends when the worst leave-one-out error is within
-    `worst`; CalibrationError where `most` points do not reach it.
-    """
-    points = design(box, first, seed)
-    values = np.asarray(evaluate(points), float)
-    while True:
-        surrogate = Surrogate(box, points, values, cheap, seed=seed)
-        found = surrogate.leave_one_out()
-        if found.worst <= worst:
-            return surrogate
-        if len(points) >= most:
-            raise CalibrationError(
-                f"the worst leave-one-out error of a surrogate with {len(points)} points is "
-                f"{found.worst:.3g}; it must be at most {worst:g}"
-            )
-        candidates = design(box, 500, seed + len(points))
-        doubt = surrogate(candidates)[1]
-        chosen = candidates[int(np.argmax(doubt))][None, :]
-        points = np.concatenate([points, chosen])
-        values = np.concatenate([values, np.asarray(evaluate(chosen), float)])
-
-
-class OverTime:
-    """Surrogates of one quantity at several times, interpolated between them and nowhere else.
-
-    times: s, rising; surrogates: one per time, of one box.
-    """
-
-    def __init__(self, times: Sequence[float], surrogates: Sequence[Surrogate]):
-        self.times, self.surrogates = np.asarray(times, float), list(surrogates)
-
-    def __call__(self, time: float, points: ArrayLike) -> Array:
-        """Values (n,) at one time (s); CalibrationError outside the times learned."""
-        low, high = self.times[[0, -1]]
-        if not low * (1 - 1e-9) <= time <= high * (1 + 1e-9):
-            raise CalibrationError(
-                f"time is {time / 86400:.4g} days; the surrogate holds from {low / 86400:.4g} to "
-                f"{high / 86400:.4g} days only"
-            )
-        values = np.stack([surrogate(points)[0] for surrogate in self.surrogates])
-        return np.array([np.interp(time, self.times, column) for column in values.T])

@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pipeline.calibration.models import with_constants
-from pipeline.campaigns.bands import samples_of
+from pipeline.campaigns.banded import samples_of
 from pipeline.campaigns.engines import ENGINES
 from pipeline.campaigns.store import StoreFolder
 from pipeline.campaigns.task import Task, do_task

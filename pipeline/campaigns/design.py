@@ -29,7 +29,7 @@ from pipeline.calibration.models import (
     with_constants,
 )
 from pipeline.calibration.strength_curve import StrengthCurve
-from pipeline.campaigns.bands import samples_of
+from pipeline.campaigns.banded import samples_of
 from pipeline.campaigns.options import COATING
 from pipeline.campaigns.strength import CURVE_FOLDER, CurveTests, curve_to
 from pipeline.campaigns.varied import Choice, Range, changed, read_vary

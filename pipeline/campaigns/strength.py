@@ -35,7 +35,7 @@ def clean_until(scene: Scene, alloy: str, implant: Implant, end: float) -> Omiss
     if not omission.applied:
         raise SceneError(
             f"strength curve of {alloy}: the liquid cannot be left out ({omission.reason}), so the "
-            "strength is no function of the volume loss alone, which must be so"
+            "strength is no function of the volume loss alone, which must be so without --surrogate"
         )
     return omission
 

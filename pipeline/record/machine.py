@@ -103,19 +103,21 @@ def child_environment(ranks: int, threads: int | None) -> dict[str, str]:
     return environment
 
 
-def check_counts(ranks: int, workers: int | None, oversubscribe: bool = False) -> None:
-    """Refuse ranks per pull (--np) and pulls at a time (--pulls) that are out of range.
+def check_counts(
+    ranks: int, workers: int | None, oversubscribe: bool = False, option: str = "--np"
+) -> None:
+    """Refuse ranks (`option`) and pulls at a time (--pulls) that are out of range.
 
     Together at most as many as there are cores, unless `oversubscribe`.
     """
-    for name, value in (("--np", ranks), ("--pulls", workers)):
+    for name, value in ((option, ranks), ("--pulls", workers)):
         if value is not None and not 1 <= value <= 4096:
             raise ValueError(f"{name} is {value}; it must be 1 to 4096")
     cores = processor_cores()
     if oversubscribe or ranks * (workers or 1) <= cores:
         return
     if ranks > cores:
-        asked, most = f"--np is {ranks}", cores
+        asked, most = f"{option} is {ranks}", cores
     else:
         each = f" of {ranks} ranks each" if ranks > 1 else ""
         asked, most = f"--pulls is {workers}{each}", cores // ranks

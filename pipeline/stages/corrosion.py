@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from peri.corrosion.coating import Coating
 from peri.corrosion.results import write_corrosion, write_history, write_image_series
-from peri.corrosion.run import file_under_coating
+from peri.corrosion.run import CorrosionResult, corrode, file_under_coating
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.influence import diffusion_stencil
 from peri.engine.lattice import Lattice, ball, box_lattice, cylinder
@@ -239,12 +239,14 @@ def corrode_in_folder(
     out: Path,
     advanced: Callable[[float, str], None] | None = None,
     checkpoint_every: float = 30.0,
+    march_by: Callable[..., CorrosionResult] = corrode,
 ) -> tuple[list[Path], dict[str, object]]:
     """March one alloy through all immersion times of the scene (time zero included).
 
     Writes corrosion.h5, history.csv and the ParaView series to `out` and goes on from a
     checkpoint that an interrupted march of the same scene left there.  Returns the files and the
-    numbers worth keeping: V_L per immersion time (nt,), the worst balance error, sizes.
+    numbers worth keeping: V_L per immersion time (nt,), the worst balance error, sizes.  march_by:
+    what marches where no ions are followed (peri.omissions.planning.corrode_lean).
     """
     solid = read_surface(geometry)
     region = liquid_domain(scene, solid.points)
@@ -272,7 +274,7 @@ def corrode_in_folder(
         }
         if scene.ions is not None:
             return ion_stage.corrode_with_ions(corrosion, scene.ions, times, stepping, **how)
-        return corrode_lean(corrosion, times, stepping, **how)
+        return corrode_lean(corrosion, times, stepping, march_by=march_by, **how)
 
     try:
         under = file_under_coating(checkpoint)

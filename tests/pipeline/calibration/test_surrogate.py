@@ -6,11 +6,10 @@ import pytest
 pytest.importorskip("sklearn")
 
 from pipeline.calibration.fit import CalibrationError
-from pipeline.calibration.surrogate import Box, OverTime, Surrogate, design, refined
+from pipeline.calibration.surrogate import Box, Surrogate, design
 from tests.pipeline.calibration.synthetic import WEEK, model
 
 BOX = Box(("D", "l"), (1e-17, 0.05), (1e-12, 1.0))
-pytestmark = pytest.mark.filterwarnings("ignore::sklearn.exceptions.ConvergenceWarning")
 
 
 def losses(points):
@@ -67,22 +66,11 @@ def test_a_cheap_model_leaves_less_to_learn(checks):
     assert errors[1] < 0.3 * errors[0]
 
 
-def test_points_are_added_until_the_worst_error_is_small():
-    surrogate = refined(losses, BOX, first=8, worst=0.01)
-    assert 8 < len(surrogate.points) <= 60 and surrogate.leave_one_out().worst <= 0.01
-    with pytest.raises(CalibrationError, match="worst leave-one-out error"):
-        refined(losses, BOX, first=6, most=7, worst=1e-6)
-
-
 def test_a_surrogate_does_not_leave_its_box():
     points = design(BOX, 10)
     surrogate = Surrogate(BOX, points, losses(points))
     with pytest.raises(CalibrationError, match="D is 1e-11; the surrogate holds from 1e-17"):
         surrogate([1e-11, 0.1])
-    over_time = OverTime([4 * WEEK, 8 * WEEK], [surrogate, surrogate])
-    assert over_time(6 * WEEK, points).shape == (10,)
-    with pytest.raises(CalibrationError, match="time is 100 days"):
-        over_time(100 * 86400.0, points)
     with pytest.raises(CalibrationError, match="range of D"):
         Box(("D",), (1.0,), (0.5,))
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.calibration.models import Implant, ReducedModel
-from pipeline.campaigns.bands import samples_of
+from pipeline.campaigns.banded import samples_of
 from pipeline.campaigns.strength import CurveTests, clean_until
 from pipeline.cli import main
 from pipeline.record.bands import BandRow, read_bands, write_bands
