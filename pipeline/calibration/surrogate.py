@@ -1,9 +1,10 @@
 """Kriging for scenes where every evaluation is a march: Gaussian processes in the logarithms.
 
 A surrogate states its box and refuses to leave it.  Matern 5/2 with a length per parameter; where a
-cheap model exists (the reduced one), the surrogate learns the difference from it.  Its error is that of leaving one point out, in closed form,
-e_i = [K^-1 y]_i / [K^-1]_ii (Dubrule 1983), and both the mean and the worst are reported: the mean,
-(5.36) of the source, hides a worst case twenty times as large.
+cheap model exists (the reduced one), the surrogate learns the difference from it.  Its error is
+that of leaving one point out, in closed form, e_i = [K^-1 y]_i / [K^-1]_ii (Dubrule 1983), and both
+the mean and the worst are reported: the mean, (5.36) of the source, hides a worst case twenty times
+as large.
 
 Needs scikit-learn (the extra `surrogate`).
 """
