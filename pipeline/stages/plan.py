@@ -333,6 +333,15 @@ def scene_omissions(scene: Scene) -> list[LeftOut]:
                 "an assumption (peri/README.md)",
             )
         )
+    if scene.corrosion.coating is not None:
+        found.append(
+            LeftOut(
+                "what a coating does on its way",
+                f"it lets {scene.corrosion.coating} through (--coating), everywhere alike, and is "
+                "then gone",
+                "an assumption",
+            )
+        )
     if scene.corrosion.dissolution == "faradaic":
         found.append(
             LeftOut(
