@@ -19,7 +19,7 @@ from pipeline.campaigns.strength import take_over
 from pipeline.life_cycle import LifeCycle
 from pipeline.record.doubts import Next, Source
 from pipeline.record.progress import Progress
-from pipeline.record.run_folder import RunFolder
+from pipeline.record.run_folder import RunFolder, RunFolderError
 from pipeline.scene.hardening import with_hardening
 from pipeline.scene.loads import LOADS
 from pipeline.scene.scene import Scene
@@ -113,7 +113,10 @@ class OtherAssumptions:
         self.ranks, self.workers, self.progress = ranks, workers, progress
 
     def left(self, scene: Scene, name: str) -> dict[str, float]:
-        """Strength left by way of holding in a changed scene; the folder's name is `name`."""
+        """Strength left by way of holding in a changed scene; the folder's name is `name`.
+
+        The intact solid is tested again only where its material is another.
+        """
         folder = RunFolder(self.folder / name)
         if not folder.geometry.exists():
             take_over(self.run.geometry, folder.geometry)
@@ -122,16 +125,25 @@ class OtherAssumptions:
         )
         cycle.geometry()
         cycle.corrode(self.alloy)
-        tests = [(self.alloy, m, h) for h in scene.holds for m in scene.with_intact()]
+        first, *_, last = scene.with_intact()
+        again = scene.alloys[0].material != self.scene.alloys[0].material
+        moments = (first, last) if again else (last,)
+        tests = [(self.alloy, m, h) for h in scene.holds for m in moments]
         for test in tests:
             cycle.map(*test)
-        peak = f"peak_{LOADS[scene.tensile.load].reaction}"
-        records = cycle.pull(tests)
-        peaks = [float(record.numbers[peak]) for record in records]
-        return {
-            hold.name: peaks[2 * n + 1] / peaks[2 * n] if peaks[2 * n] > 0 else 0.0
-            for n, hold in enumerate(scene.holds)
-        }
+        cycle.pull(tests)
+        found = {}
+        for hold in scene.holds:
+            whole = self._peak(folder if again else self.run, first.label, hold.name)
+            peak = self._peak(folder, last.label, hold.name)
+            found[hold.name] = peak / whole if whole > 0 else 0.0
+        return found
+
+    def _peak(self, folder: RunFolder, label: str, hold: str) -> float:
+        record = folder.read_record(folder.test(self.alloy, label, hold), "pull")
+        if record is None:
+            raise RunFolderError(f"the test of {self.alloy} at {label} held by {hold} is not there")
+        return float(record.numbers[f"peak_{LOADS[self.scene.tensile.load].reaction}"])
 
     def _hardenings(self) -> dict[str, Callable[[], Scene]]:
         own = self.scene.alloys[0].hardening
