@@ -17,7 +17,11 @@ from pathlib import Path
 
 from perilife_data import did_you_mean
 from pipeline.calibration.command import add_calibrate_options
-from pipeline.campaigns.options import add_campaign_options, add_design_options
+from pipeline.campaigns.options import (
+    add_campaign_options,
+    add_design_options,
+    add_sample_options,
+)
 from pipeline.export.command import add_export_options
 from pipeline.record import interruption
 from pipeline.record.machine import find_place_for_compiled_code
@@ -61,29 +65,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_scene_options(run)
     _add_folder_options(run, resume=True)
     _add_machine_options(run)
-    run.add_argument(
-        "--ranks", type=int, default=1, metavar="N", help="MPI ranks of each corrosion march (1)"
-    )
-    run.add_argument(
-        "--samples",
-        type=int,
-        metavar="N",
-        help="bands from N samples of the constants (needs a set that calibrate wrote)",
-    )
-    run.add_argument(
-        "--strength-tolerance",
-        type=float,
-        default=0.01,
-        metavar="X",
-        help="of the strength curve behind the bands, of the intact strength (0.01)",
-    )
-    run.add_argument(
-        "--surrogate",
-        type=int,
-        metavar="N",
-        help="with --samples, where the liquid counts: Kriging through at most N marches and their "
-        "tests (needs perilife[surrogate])",
-    )
+    add_sample_options(run)
     geometry = add("geometry", _geometry, "begin a run folder: solid and mesh of a scene")
     add_scene_options(geometry)
     _add_folder_options(geometry, resume=True)

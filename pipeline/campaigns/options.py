@@ -9,6 +9,33 @@ COATING = ("coating_factor", "coating_lifetime")
 """Numbers of --coating that a design may vary within a range."""
 
 
+def add_sample_options(parser: argparse.ArgumentParser) -> None:
+    """Options of `perilife run` for ranks of a march and for bands from samples."""
+    parser.add_argument(
+        "--ranks", type=int, default=1, metavar="N", help="MPI ranks of each corrosion march (1)"
+    )
+    parser.add_argument(
+        "--samples",
+        type=int,
+        metavar="N",
+        help="bands from N samples of the constants (needs a set that calibrate wrote)",
+    )
+    parser.add_argument(
+        "--strength-tolerance",
+        type=float,
+        default=0.01,
+        metavar="X",
+        help="of the strength curve behind the bands, of the intact strength (0.01)",
+    )
+    parser.add_argument(
+        "--surrogate",
+        type=int,
+        metavar="N",
+        help="with --samples, where the liquid counts: Kriging through at most N marches and their "
+        "tests (needs perilife[surrogate])",
+    )
+
+
 def add_design_options(parser: argparse.ArgumentParser) -> None:
     """Options of `perilife design` beside those of the scene."""
     group = parser.add_argument_group("design")
