@@ -1,0 +1,183 @@
+"""What the command line prints: plans, help, choices, studies, benches; and interruptions."""
+
+import argparse
+import itertools
+import json
+import os
+import re
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from peri.corrosion.kinetics import Exposed
+from pipeline.benches.registry import BENCHMARKS, Benchmark, Result
+from pipeline.cli import main, sentence
+from pipeline.record import interruption
+from pipeline.record.run_folder import RunFolder
+from pipeline.report import provenance
+from pipeline.scene.options import add_scene_options, scene_from_options
+from pipeline.scene.rate_law import KINETICS
+from pipeline.scene.scene import DISSOLUTION_LAWS, OMITTABLE, scene_from_json
+from pipeline.stages import corrosion as corrosion_stage
+from tests.pipeline.command_line import COARSE, SCENE, changed, refused
+from tests.pipeline.geometry.solids import coarse_mesh
+
+
+def test_version_and_alloys_are_printed(capsys):
+    assert main(["--version"]) == 0
+    assert re.fullmatch(r"perilife \S+\n", capsys.readouterr().out)
+    assert main(["alloys"]) == 0
+    printed = capsys.readouterr().out
+    for name in ("Mg-5Gd", "Mg-10Gd", "table-5.1"):
+        assert name in printed
+
+
+def test_plan_tells_sizes_time_memory_and_omissions(capsys):
+    assert main(["plan", *SCENE, "--json"]) == 0
+    plan = json.loads(capsys.readouterr().out)
+    # cylinder of 2.755 mm x 4.8 mm: pin diameter 1.755 mm and the margins of Table 5.1's scene
+    assert plan["nodes"] == pytest.approx(3.14159 / 4 * 2.755**2 * 4.8 * 1e3, rel=0.03)
+    assert {task["stage"] for task in plan["tasks"]} == {"geometry", "corrode", "map", "pull"}
+    assert plan["seconds"] == pytest.approx(sum(task["seconds"] for task in plan["tasks"]))
+    assert all(task["memory"] > 0 for task in plan["tasks"])
+    assert plan["omissions"] and all(item["reason"] for item in plan["omissions"])
+    assert main(["plan", *SCENE]) == 0
+    assert "What is left out" in capsys.readouterr().out
+
+
+def test_plan_knows_the_size_of_the_mesh_of_the_screw(capsys):
+    edges = ["--mesh-size", "0.3mm", "--mesh-size-fine", "0.2mm"]
+    assert main(["plan", *SCENE[:-2], *edges, "--json"]) == 0
+    plan = json.loads(capsys.readouterr().out)
+    cells = coarse_mesh().cells
+    sides = np.sort(cells[:, list(itertools.combinations(range(4), 2))].reshape(-1, 2), axis=1)
+    nodes = len(np.unique(cells)) + len(np.unique(sides, axis=0))
+    assert plan["unknowns"] == pytest.approx(3 * nodes, rel=0.1)  # measured 1.2 %
+
+
+def test_plan_names_what_can_be_kept_as_keep_wants_it(capsys):
+    scene = [*SCENE, *COARSE, "--spacing", "200um", "--horizon", "400um"]
+    assert main(["plan", *scene, "--json"]) == 0
+    named = [item["what"] for item in json.loads(capsys.readouterr().out)["omissions"]]
+    of_march = [what.removeprefix("Mg-5Gd: ") for what in named if what.startswith("Mg-5Gd: ")]
+    offered = [what for what in of_march if "not offered" not in what]
+    assert sorted(offered) == sorted(OMITTABLE) and len(of_march) == len(offered) + 2
+    assert main(["plan", *scene, "--keep", *offered, "--json"]) == 0
+    left = json.loads(capsys.readouterr().out)["omissions"]
+    assert all(item["error"].startswith("kept") for item in left if item["what"][8:] in offered)
+
+
+def test_help_lists_the_numbers_of_every_law_of_the_rate():
+    parser = argparse.ArgumentParser()
+    add_scene_options(parser)
+    told = " ".join(parser.format_help().split())
+    for numbers in KINETICS.values():
+        assert ", ".join(numbers) in told
+
+
+def test_the_law_of_a_bond_is_a_choice(tmp_path, capsys):
+    """Faraday's law dissolves more: its bonds keep their flux while a node empties."""
+    lost = {}
+    for law in DISSOLUTION_LAWS:
+        out = str(tmp_path / law)
+        scene = [*SCENE, "--spacing", "200um", "--horizon", "400um", "--dissolution", law]
+        scene += ["--radial-margin", "1mm", "--axial-margin", "1mm"]
+        assert main(["geometry", *scene, "--out", out, "--quiet"]) == 0
+        assert main(["corrode", "--out", out, "--quiet"]) == 0
+        folder = RunFolder(Path(out))
+        record = folder.read_record(folder.corrosion("Mg-5Gd"), "corrode")
+        lost[law] = record.numbers["volume_loss"][-1]
+        capsys.readouterr()
+        assert main(["plan", *scene, "--json"]) == 0
+        named = [item["what"] for item in json.loads(capsys.readouterr().out)["omissions"]]
+        assert ("the published law of a bond" in named) == (law == "faradaic")
+        stored = scene_from_json(json.loads(folder.scene_file.read_text()))
+        rows = provenance.to_be_listed(provenance.parameter_rows(stored))
+        assert any(row.value == "faradaic" for row in rows) == (law == "faradaic")
+    # measured 15.05 % against 13.54 %, 1.111 times
+    assert 1.08 < lost["faradaic"] / lost["proportional"] < 1.14
+
+
+@pytest.mark.parametrize(
+    "law, factors",
+    [
+        (None, (1.0, 10 ** (-0.1 / 0.2355))),  # l of Table 5.1 for Mg-5Gd
+        ("constant", (1.0, 1.0)),
+        ("volume_loss:length=0.1", (1.0, 0.1)),
+        ("tafel:overpotential=0.02,slope=0.1", (10**0.2, 10**0.2)),
+    ],
+)
+def test_the_law_of_the_rate_is_a_choice(capsys, law, factors):
+    changes = [] if law is None else ["--kinetics", law]
+    parser = argparse.ArgumentParser()
+    add_scene_options(parser)
+    scene = scene_from_options(parser.parse_args(changed(*changes)))
+    found = corrosion_stage.rate_law(scene_from_json(scene.to_json()), "Mg-5Gd")
+    assert [found.rate(Exposed(v)) for v in (0.0, 0.1)] == pytest.approx(factors, rel=1e-12)
+    rows = provenance.to_be_listed(provenance.parameter_rows(scene))
+    assert any(row.value == law for row in rows) == (law is not None)
+    assert main(["plan", *changed(*changes), "--json"]) == 0
+    named = [item["what"] for item in json.loads(capsys.readouterr().out)["omissions"]]
+    assert ("the published kinetics" in named) == (law is not None)
+
+
+def test_studies_are_listed_and_refused_in_one_sentence(tmp_path, capsys):
+    assert main(["study", "list"]) == 0
+    assert "rates" in capsys.readouterr().out
+    refused(capsys, ["study", "tensile-weather"], "tensile-weather", "corrosion, rates, saturation")
+    refused(capsys, ["study", "corrosion"], "--out")
+    out = tmp_path / "studies"
+    refused(capsys, ["study", "corrosion", "--alloy", "Mg-7Gd", "--out", str(out)], "Mg-7Gd")
+    assert not out.exists()
+
+
+def test_bench_prints_exactly_one_object(capsys, monkeypatch):
+    fake = Benchmark("a test", lambda: [Result("speed", 2.0, "1/s", ">= 1")], list)
+    monkeypatch.setitem(BENCHMARKS, "fake", fake)
+    assert main(["bench", "fake", "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert set(printed) == {"name", "small", "load", "machine", "results"}
+    assert printed["results"] == [
+        {"quantity": "speed", "value": 2.0, "unit": "1/s", "target": ">= 1"}
+    ]
+    assert main(["bench", "fake", "--small", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["results"] == []
+    assert main(["bench", "list"]) == 0
+    listed = capsys.readouterr().out
+    assert "quick-stages" in listed and "fake" in listed
+
+
+def test_errors_of_the_system_become_one_sentence():
+    import errno
+
+    full = OSError(errno.ENOSPC, "No space left on device", "/data/run")
+    assert sentence(full) == "there is no space left to write '/data/run'."
+    denied = PermissionError(errno.EACCES, "Permission denied", "/data/run")
+    assert sentence(denied) == "there is no right to write or read '/data/run'."
+    assert sentence(ValueError("two\nlines")) == "two lines."
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_an_interruption_that_python_drops_is_not_lost():
+    """The exception of a signal that arrives within a finaliser is printed and forgotten."""
+
+    class Finalised:
+        def __del__(self):
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.01)  # the handler runs here
+
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        interruption.listen()
+        interruption.check()
+        Finalised()
+        with pytest.raises(KeyboardInterrupt):
+            interruption.check()
+        interruption.listen()
+        interruption.check()
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
