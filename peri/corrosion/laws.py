@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Protocol
 
 from peri.corrosion.choices import SATURATION_MODELS
 
@@ -17,12 +17,49 @@ if TYPE_CHECKING:
 
     from peri.corrosion.metal.solids import Solid
     from peri.engine.march.problem import Attempt, Fields, Stage
+    from peri.engine.operators import NonlocalSum
+    from peri.engine.processes import OneProcess
 
 INTERFACE_LAWS = {
     "proportional": "peri.corrosion.interface.proportional.Proportional",
     "faradaic": "peri.corrosion.interface.faradaic.Faradaic",
 }
 """Where each law is."""
+
+
+class Scene(Protocol):
+    """What a law may look at of a scene (corrosion.scene.CorrosionScene)."""
+
+    solid_concentration: float
+    saturation_concentration: float
+    saturation: str
+    solids: tuple[Solid, ...]
+
+    @property
+    def highest_concentration(self) -> float:
+        """The largest C_solid, mol/m^3."""
+
+
+class Amounts(Protocol):
+    """Its amounts (corrosion.nodes.balance.Balance)."""
+
+    liquid_below: float
+    metal_scale: float
+
+
+class Discrete(Protocol):
+    """What a law may look at of the discrete problem (corrosion.nodes.rates.InterfaceRates).
+
+    Padded arrays of the lattice; box : None without metal.
+    """
+
+    scene: Scene
+    processes: OneProcess
+    balance: Amounts
+    tolerance: float
+    metal: np.ndarray
+    capacity: np.ndarray
+    box: NonlocalSum | None
 
 
 class InterfaceLaw:
@@ -43,40 +80,42 @@ class InterfaceLaw:
         """What determines the law, for the mark of a checkpoint."""
         return {"law": type(self).__qualname__, **vars(self)}
 
-    def liquid_below(self, scene) -> float:
+    def liquid_below(self, scene: Scene) -> float:
         """Metal with no more than this is liquid, mol/m^3."""
         raise NotImplementedError
 
-    def lifetime(self, scene) -> float:
+    def lifetime(self, scene: Scene) -> float:
         """How long a node of the shortest-lived solid lasts in clean liquid, over 1/lambda."""
         raise NotImplementedError
 
-    def share_of(self, solid: Solid, scene) -> float:
+    def share_of(self, solid: Solid, scene: Scene) -> float:
         """The rate of a solid's bonds over that of the scene's, for its flux to be `solid.rate`."""
         raise NotImplementedError
 
-    def exchange(self, discrete, old: np.ndarray, tau: float):
+    def exchange(self, discrete: Discrete, old: np.ndarray, tau: float) -> object:
         """The Exchange of one stage (tau in s) from the right side `old` (padded)."""
         raise NotImplementedError
 
     # --- the march: what a step may do, and how its rates changed ---------------------------
 
-    def gone(self, discrete, concentration: np.ndarray, emptied) -> np.ndarray | None:
+    def gone(
+        self, discrete: Discrete, concentration: np.ndarray, emptied: np.ndarray | None
+    ) -> np.ndarray | None:
         """Metal nodes that an accepted step turns liquid."""
         raise NotImplementedError
 
-    def check(self, discrete, concentration: np.ndarray, time: float) -> None:
+    def check(self, discrete: Discrete, concentration: np.ndarray, time: float) -> None:
         """ValueError where the law's physics ends."""
 
-    def continues(self, discrete, first: Stage, right: Fields) -> bool:
+    def continues(self, discrete: Discrete, first: Stage, right: Fields) -> bool:
         """Whether a second-order step may go on from its first stage to this right side."""
         return True
 
-    def admissible(self, discrete, stages: Sequence[Stage]) -> bool:
+    def admissible(self, discrete: Discrete, stages: Sequence[Stage]) -> bool:
         """Whether a second-order step is positive as far as the law goes."""
         return True
 
-    def change(self, discrete, attempt: Attempt) -> float:
+    def change(self, discrete: Discrete, attempt: Attempt) -> float:
         """Relative change of the metal's loss rate in a step."""
         raise NotImplementedError
 

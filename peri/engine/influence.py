@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from peri.engine.choices import CALIBRATIONS
 from peri.engine.lattice import Family, Lattice, family
 
 INFLUENCE_FUNCTIONS = {
@@ -17,8 +18,6 @@ INFLUENCE_FUNCTIONS = {
 """omega(|xi|/delta): Eqs 2.12 and 2.13 of the dissertation."""
 
 log = logging.getLogger(__name__)
-
-CALIBRATIONS = ("discrete", "closed", "as_published")
 
 
 def closed_constant(

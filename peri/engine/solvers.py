@@ -30,7 +30,9 @@ class LinearSystem:
     """(A + shift + extra) u = b on the unknown nodes: conjugate gradients, or BiCGSTAB.
 
     Conjugate gradients where the matrix is symmetric (it must be positive definite, too),
-    BiCGSTAB otherwise; both with the preconditioner of this file's head.
+    BiCGSTAB otherwise; both with the preconditioner of this file's head.  BiCGSTAB rather than
+    GMRES, because it keeps eight vectors however many iterations it takes; GMRES keeps one more
+    with each, or restarts and forgets.
 
     Parameters
     ----------

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from peri.corrosion.choices import BOUNDARIES
 from peri.corrosion.choices import SATURATION_MODELS as SATURATIONS
 from peri.corrosion.laws import INTERFACE_LAWS
+from peri.engine.choices import CALIBRATIONS, INFLUENCES
 from peri.engine.march.stepping import SCHEMES as TIME_SCHEMES
 from peri.engine.omission import DEFAULT_TOLERANCE
 from peri.omissions.names import OMITTABLE
@@ -35,7 +36,6 @@ LONGEST_IMMERSION = 100 * YEAR
 
 DOMAIN_SHAPES = ("cylinder", "ball")
 DISSOLUTION_LAWS = tuple(INTERFACE_LAWS)
-CALIBRATIONS = ("discrete", "closed")
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ class CorrosionSettings:
             allowed = "a fixed one where saturation is as_published, whose switch lasts for a step"
             check(given, "corrosion step", "controlled", allowed)
         one_of("calibration", self.calibration, CALIBRATIONS)
-        one_of("influence function", self.influence, ("constant", "linear"))
+        one_of("influence function", self.influence, INFLUENCES)
         check(0 <= self.kernel_exponent < 1, "kernel exponent", self.kernel_exponent, "in [0, 1)")
         check(0 <= self.classes <= 8, "rate classes", self.classes, "0 (none) to 8")
         if self.classes:

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from peri.corrosion.interface.exchange import Exchange
-from peri.corrosion.laws import InterfaceLaw
+from peri.corrosion.laws import Discrete, InterfaceLaw
 from peri.corrosion.metal.solids import Solid
 from peri.corrosion.phases import Phases
 from peri.corrosion.scene import CorrosionScene
@@ -54,11 +54,13 @@ class Faradaic(InterfaceLaw):
         """Bonds that carry a given flux."""
         return FaradaicExchange(discrete, old, tau)
 
-    def gone(self, discrete, concentration: np.ndarray, emptied) -> np.ndarray | None:
+    def gone(
+        self, discrete: Discrete, concentration: np.ndarray, emptied: np.ndarray | None
+    ) -> np.ndarray | None:
         """Metal that the step has emptied."""
         return emptied
 
-    def check(self, discrete, concentration: np.ndarray, time: float) -> None:
+    def check(self, discrete: Discrete, concentration: np.ndarray, time: float) -> None:
         """Liquid without a bound may not pass the metal."""
         highest = discrete.scene.highest_concentration * (1 + 1e-12)
         if discrete.processes.any(concentration.max() > highest):
@@ -67,16 +69,16 @@ class Faradaic(InterfaceLaw):
                 f"metal's concentration at {time:.4g} s, use 'complementarity'"
             )
 
-    def continues(self, discrete, first: Stage, right: Fields) -> bool:
+    def continues(self, discrete: Discrete, first: Stage, right: Fields) -> bool:
         """Whether no node is empty at the first stage or negative in its right side."""
         negative = right["concentration"].min() < 0
         return not discrete.processes.any(negative or _any(first.extra.emptied))
 
-    def admissible(self, discrete, stages: Sequence[Stage]) -> bool:
+    def admissible(self, discrete: Discrete, stages: Sequence[Stage]) -> bool:
         """Whether no node is empty."""
         return not discrete.processes.any(_any(stages[-1].extra.emptied))
 
-    def change(self, discrete, attempt: Attempt) -> float:
+    def change(self, discrete: Discrete, attempt: Attempt) -> float:
         """Of the loss in sum: a moving front hands its rate from node to node."""
         last, loss = attempt.stages[-1], attempt.old.numbers["volume_loss"]
         lost = last.numbers["volume_loss"] - loss

@@ -11,7 +11,7 @@ import numpy as np
 
 from peri.corrosion.interface import saturation
 from peri.corrosion.interface.exchange import Exchange
-from peri.corrosion.laws import InterfaceLaw
+from peri.corrosion.laws import Discrete, InterfaceLaw
 from peri.corrosion.metal.solids import Solid
 from peri.corrosion.phases import Phases
 from peri.corrosion.scene import CorrosionScene
@@ -44,11 +44,13 @@ class Proportional(InterfaceLaw):
         """Bonds that follow the content."""
         return ProportionalExchange(discrete, old, tau)
 
-    def gone(self, discrete, concentration: np.ndarray, emptied: None) -> np.ndarray:
+    def gone(
+        self, discrete: Discrete, concentration: np.ndarray, emptied: np.ndarray | None
+    ) -> np.ndarray:
         """Metal below C_sat."""
         return discrete.metal & (concentration < discrete.balance.liquid_below)
 
-    def change(self, discrete, attempt: Attempt) -> float:
+    def change(self, discrete: Discrete, attempt: Attempt) -> float:
         """Difference of the metal's change from the expected one, and what is exposed late."""
         old = attempt.old.fields["concentration"]
         new = attempt.stages[-1].fields["concentration"]
@@ -136,7 +138,7 @@ class ProportionalExchange(Exchange):
         return np.where(p.box_metal, metal - self.tau * flux, 0.0)
 
 
-def _relative_change(discrete, change: np.ndarray, expected: np.ndarray) -> float:
+def _relative_change(discrete: Discrete, change: np.ndarray, expected: np.ndarray) -> float:
     """Difference of the metal's change from the expected one, node by node, over their loss."""
     total, metal = discrete.processes.total, discrete.metal
     volume = discrete.capacity[metal]

@@ -3,12 +3,20 @@
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from peri.corrosion.kinetics import Exposed, VolumeLossLaw
+from peri.corrosion.kinetics import ButlerVolmer, ConstantRate, Exposed, Tafel, VolumeLossLaw
 from peri.corrosion.nodes.bimaterial import BiMaterial
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.lattice import ball, box_lattice
 
 WEEK = 7 * 86400.0
+
+LAWS = {
+    "constant": ConstantRate(),
+    "volume_loss": VolumeLossLaw(0.1),
+    "tafel": Tafel(0.03, 0.1),
+    "butler_volmer": ButlerVolmer(0.01),
+}
+"""One law of the rate of each kind, by its name; a new one gets a row here."""
 
 
 def pin(dimension=3, cells=10, ratio=2, **options):
@@ -25,6 +33,12 @@ def pin(dimension=3, cells=10, ratio=2, **options):
         **options,
     }
     return CorrosionScene(lattice, ratio * spacing, **settings)
+
+
+def law_scene(law, bond, **options):
+    """A disc under a law of the rate and one of the bonds."""
+    settings = {"interface_diffusivity": 1e-14, "liquid_diffusivity": 1e-10, **options}
+    return pin(2, 12, kinetics=law, dissolution=bond, **settings)
 
 
 def clean_liquid_loss(scene, times):

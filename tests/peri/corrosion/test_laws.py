@@ -1,40 +1,31 @@
-"""Every law of the rate with every law of the bonds through the same invariants."""
+"""Every law of the rate with every law of the bonds through the same invariants.
+
+On ranks they are marched in tests/peri/parallel.
+"""
 
 import numpy as np
 import pytest
 
-from peri.corrosion.kinetics import KINETICS, ButlerVolmer, ConstantRate, Exposed, Tafel
-from peri.corrosion.kinetics import VolumeLossLaw as VolumeLoss
+from peri.corrosion.kinetics import KINETICS, Exposed
 from peri.corrosion.laws import INTERFACE_LAWS, interface_law
 from peri.corrosion.run import corrode
 from peri.engine.march.marching import TimeStepping
 from peri.omissions.planning import corrode_lean
-from tests.peri.corrosion.scenes import WEEK, pin
+from tests.peri.corrosion.scenes import LAWS, WEEK, law_scene
 from tests.peri.corrosion.test_run import check_invariants
 
-LAWS = {
-    "constant": ConstantRate(),
-    "volume_loss": VolumeLoss(0.1),
-    "tafel": Tafel(0.03, 0.1),
-    "butler_volmer": ButlerVolmer(0.01),
-}
 PAIRS = [(name, bond) for name in LAWS for bond in INTERFACE_LAWS]
-
-
-def scene(law, bond, **options):
-    settings = {"interface_diffusivity": 1e-14, "liquid_diffusivity": 1e-10, **options}
-    return pin(2, 12, kinetics=law, dissolution=bond, **settings)
 
 
 def check_law(law, bond, folder):
     """Bounds, balance, monotone loss, resumption and the bound of what planning leaves out."""
     for saturation in interface_law(bond).saturations:
         scheme = "sdirk2" if saturation != "as_published" else "backward_euler"
-        made = scene(law, bond, saturation=saturation)
+        made = law_scene(law, bond, saturation=saturation)
         result = corrode(made, [0.3 * WEEK, WEEK], TimeStepping(scheme, step=WEEK / 10))
         check_invariants(made, result)
         assert 1e-3 < result.volume_loss[0] < result.volume_loss[1]
-    path, made = folder / "march.h5", scene(law, bond)
+    path, made = folder / "march.h5", law_scene(law, bond)
     whole = corrode(made, [WEEK])
 
     def stop(fraction, text):
@@ -47,7 +38,7 @@ def check_law(law, bond, folder):
     resumed = corrode(made, [WEEK], resume=True, **options)
     np.testing.assert_array_equal(resumed.concentration, whole.concentration)
     np.testing.assert_array_equal(resumed.history["iterations"], whole.history["iterations"])
-    slow = scene(law, bond, interface_diffusivity=1e-16, liquid_diffusivity=1e-8)
+    slow = law_scene(law, bond, interface_diffusivity=1e-16, liquid_diffusivity=1e-8)
     lean, omissions = corrode_lean(slow, [WEEK])
     full = corrode(slow, [WEEK])
     bound = sum(o.bound for o in omissions if o.applied) + 1e-3  # and the error in time

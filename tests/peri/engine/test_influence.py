@@ -3,9 +3,19 @@
 import numpy as np
 import pytest
 
-from peri.engine.influence import closed_constant, diffusion_stencil, front_stencil
+from peri.engine.choices import INFLUENCES
+from peri.engine.influence import (
+    INFLUENCE_FUNCTIONS,
+    closed_constant,
+    diffusion_stencil,
+    front_stencil,
+)
 from peri.engine.lattice import Lattice
 from tests.peri.dense import plain_moment, plain_weight
+
+
+def test_every_influence_function_is_a_choice():
+    assert tuple(INFLUENCE_FUNCTIONS) == INFLUENCES
 
 
 def lattice_of(*spacing):

@@ -5,12 +5,14 @@ mpirun -n 2 python tests/peri/parallel/rank_cases.py FILE.npz
 
 import sys
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from peri.corrosion import CorrosionScene
 from peri.corrosion.blocks import block_scene
 from peri.corrosion.kinetics import VolumeLossLaw
+from peri.corrosion.laws import INTERFACE_LAWS
 from peri.engine.lattice import ball, box_lattice, cylinder
 from peri.engine.march.marching import TimeStepping
 from peri.engine.operators import NonlocalSum
@@ -23,6 +25,7 @@ from peri.schemes.bonds import (
     mean_conductances,
     square_root_fluxes,
 )
+from tests.peri.corrosion.scenes import LAWS, WEEK, law_scene
 
 DAY = 86400.0
 SOLVER_TOLERANCE = 1e-10
@@ -65,6 +68,16 @@ MARCHES = {
     "ball": (ball_scene, (0.5 * DAY, DAY), TimeStepping("sdirk2", step=0.5 * DAY)),
     "closed": (closed_scene, (2 * DAY,), TimeStepping("backward_euler", step=DAY)),
     "line": (line_scene, (0.0, 60.0), TimeStepping("sdirk2", step=10.0)),
+}
+# Every law of the rate with every law of the bonds.
+MARCHES |= {
+    f"{bond}-{name}": (
+        partial(law_scene, law, bond),
+        (0.5 * WEEK, WEEK),
+        TimeStepping("sdirk2", step=0.5 * WEEK),
+    )
+    for name, law in LAWS.items()
+    for bond in INTERFACE_LAWS
 }
 STIFFNESSES = (1.0, 1e3, 1e6)
 
