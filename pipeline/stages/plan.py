@@ -412,7 +412,7 @@ def _tensile_departures(scene: Scene) -> list[LeftOut]:
                     f"the outer {format_length(bottom)} and {format_length(top)} are held and not "
                     "strained; other ways of holding: --hold"
                     + ("" if isinstance(scene.geometry, ScrewGeometry) else "; no slot is known"),
-                    "part of the scene (pipeline/README.md: strength left by the way of holding)",
+                    "part of the scene (pipeline/MEASURED.md: how long the grips are)",
                 )
             )
     if test.damage != "implicit":
