@@ -105,6 +105,10 @@ class _Quietly(LifeCycle):
         return None
 
 
+class NoAnswerError(SceneError):
+    """No value of a range or a list keeps the target, or every value does."""
+
+
 class Designer:
     """Tries values of one option in run folders below `out`.
 
@@ -171,7 +175,7 @@ class Designer:
         return chosen
 
     def root(self, vary: Range) -> Candidate:
-        """The value of a range that just keeps the target; SceneError without one.
+        """The value of a range that just keeps the target; NoAnswerError without one.
 
         The side of the last interval that keeps it, an interval of 1 % of the value.
         """
@@ -184,13 +188,13 @@ class Designer:
         ends = {value: at(value) for value in (vary.low, vary.high)}
         keeps = {value: c.excess(self.target) >= 0 for value, c in ends.items()}
         if all(keeps.values()):
-            raise SceneError(
+            raise NoAnswerError(
                 f"{name}: every value tried from {show(vary.low)} to {show(vary.high)} keeps "
                 f"{self.target.in_words()}; the range must hold one that does not"
             )
         if not any(keeps.values()):
             best = max(ends.values(), key=lambda c: c.excess(self.target))
-            raise SceneError(
+            raise NoAnswerError(
                 f"{name}: neither end of {show(vary.low)} to {show(vary.high)} keeps "
                 f"{self.target.in_words()}; the better one, {best.label}, keeps "
                 f"{100 * best.share:.1f} % and {best.peak:.4g} N"
@@ -214,11 +218,11 @@ class Designer:
         return ends[good]
 
     def best(self, vary: Choice) -> Candidate:
-        """The value of a list that keeps most; SceneError where none keeps the target."""
+        """The value of a list that keeps most; NoAnswerError where none keeps the target."""
         found = [self.evaluate(vary.name, value, value) for value in vary.values]
         best = max(found, key=lambda c: c.excess(self.target))
         if best.excess(self.target) < 0:
-            raise SceneError(
+            raise NoAnswerError(
                 f"{vary.name.replace('_', ' ')}: none of {', '.join(vary.values)} keeps "
                 f"{self.target.in_words()}; the best, {best.label}, keeps "
                 f"{100 * best.share:.1f} % and {best.peak:.4g} N"
@@ -292,15 +296,17 @@ def front(
     out: Path,
     first: Range | Choice,
     second: Range | Choice,
+    say: Callable[[str], None] = lambda line: None,
 ) -> list[tuple[str, Candidate | str]]:
     """The answer in the first option at each value of the second, or why there is none."""
     rows: list[tuple[str, Candidate | str]] = []
     for text in second.points():
+        say(f"--- {second.name.replace('_', ' ')} {text}")
         place = f"{second.name}-{text}".replace("/", "_").replace(" ", "-")
         designer = make(changed(options, second.name, text), out / place)
         try:
             rows.append((text, designer.search(first)))
-        except SceneError as error:
+        except NoAnswerError as error:
             rows.append((text, str(error)))
     return rows
 
@@ -356,7 +362,7 @@ def run_design(options: argparse.Namespace, progress: Progress, say: Callable[[s
         )
         return
     first, second = varied
-    rows = front(make, options, out, first, second)
+    rows = front(make, options, out, first, second, say)
     answers = [([text, c.label], c) for text, c in rows if isinstance(c, Candidate)]
     say(f"what just keeps {target.in_words()}:")
     for text, found in rows:
@@ -366,7 +372,7 @@ def run_design(options: argparse.Namespace, progress: Progress, say: Callable[[s
         else:
             say(f"  {lead}: {found}")
     if not answers:
-        raise SceneError(f"no {second.name.replace('_', ' ')} has an answer (see above)")
+        raise NoAnswerError(f"no {second.name.replace('_', ' ')} has an answer (see above)")
     write_design(out / DESIGN_FILE, [second.name, first.name], answers)
     say(f"table: {out / DESIGN_FILE}")
 
