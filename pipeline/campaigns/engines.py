@@ -8,8 +8,11 @@ over ssh or under a batch system, behind one address.  mpi: the ranks of an mpir
 from __future__ import annotations
 
 import math
+import os
 import platform
+import time
 import uuid
+from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -24,6 +27,8 @@ PATIENCE = 10.0
 
 _PROBES = 8
 """Tasks per MPI rank by which the hosts of the ranks are found."""
+
+_PAUSE = 0.02  # s, of each of them
 
 
 @dataclass(frozen=True)
@@ -117,20 +122,22 @@ def _exists(path: str) -> bool:
 @contextmanager
 def mpi(workers: int | None, address: str | None) -> Iterator[Crew]:
     """Ranks of an mpirun, one task each at a time."""
+    from mpi4py import MPI
     from mpi4py.futures import MPIPoolExecutor
 
     if address is not None:
         raise ValueError("--scheduler goes with --engine dask, which must be given too")
     with MPIPoolExecutor(workers) as executor:
-        probes = list(executor.map(_host, range(_PROBES * max(1, executor.num_workers))))
-        hosts = dict(probes)
-        each = math.ceil(executor.num_workers / len(hosts))
-        yield Crew(executor, min(hosts.values()) / each)
+        count = _PROBES * (workers or MPI.COMM_WORLD.size)
+        found = set(executor.map(_host, range(count)))
+        ranks = Counter(node for node, _ in {(node, rank) for node, rank, _ in found})
+        yield Crew(executor, min(memory / ranks[node] for node, _, memory in found))
 
 
-def _host(number: int) -> tuple[str, float]:
-    """Name and available memory (bytes) of the host of a rank."""
-    return platform.node(), float(available_memory())
+def _host(number: int) -> tuple[str, int, float]:
+    """Host of a rank, its process and the host's available memory (bytes)."""
+    time.sleep(_PAUSE)  # so that no rank takes the probes of the others
+    return platform.node(), os.getpid(), float(available_memory())
 
 
 ENGINES = {"local": local, "dask": dask, "mpi": mpi}
