@@ -388,6 +388,24 @@ def test_explicit_step_where_only_the_metal_limits_it():
     assert 1.7 < errors[0] / errors[1] < 2.3  # first order; measured 1.91
 
 
+@pytest.mark.parametrize("ratio", [1.0, 1e3, 1e6])
+def test_no_second_order_step_passes_the_metal(ratio):
+    """Closed liquid without a bound, steps of 1,000 stable ones: 60 % above C_solid unchecked."""
+    scene = pin(
+        1,
+        6,
+        saturation="none",
+        boundary="no_flux",
+        kinetics=ConstantRate(),
+        liquid_diffusivity=1e-10,
+        interface_diffusivity=1e-10 * ratio,
+    )
+    step = 1e3 / BiMaterial(scene).fastest_rate()
+    result = corrode(scene, [step, 2 * step, 3 * step], TimeStepping("sdirk2", step=step))
+    check_invariants(scene, result)
+    assert result.history["step"].max() == step and result.volume_loss[-1] > 0.1
+
+
 def test_other_refusals():
     with pytest.raises(ValueError, match="scheme: 'sdirk2' with saturation 'as_published'"):
         corrode(pin(1, 10, saturation="as_published"), [1.0])
