@@ -63,7 +63,7 @@ def volume_loss_plot(
 ) -> str:
     """Volume loss against immersion time as SVG; `measured`: a person's own points by alloy.
 
-    bands: 5 to 95 % of the samples of the constants, shaded.
+    bands: 5 to 95 % of the samples of the constants, as bars at their times.
     """
     figure, axes = _figure()
     longest = max(
@@ -98,7 +98,15 @@ def volume_loss_plot(
                 ms=5,
                 **_marker(style),
             )
-        _shade(axes, [b for b in bands if b.alloy == alloy.name], "volume_loss", 0.0, second, style)
+        own = [b for b in bands if b.alloy == alloy.name]
+        axes.vlines(  # not joined: the loss between the times is no straight line
+            [86400.0 * b.immersion_days / second for b in own],
+            [100 * b.volume_loss[0] for b in own],
+            [100 * b.volume_loss[2] for b in own],
+            color=style["color"],
+            alpha=0.3,
+            lw=7,
+        )
         if alloy.name in measured:
             data = measured[alloy.name]
             spread = data.standard_deviation
@@ -123,14 +131,12 @@ def volume_loss_plot(
     return _svg(figure, "volume-loss", title, marks)
 
 
-def _shade(
-    axes: Axes, rows: Sequence[BandRow], field: str, start: float, second: float, style: dict
-) -> None:
-    """Shade the band of one alloy from its value at time zero on."""
+def _shade(axes: Axes, rows: Sequence[BandRow], second: float, style: dict) -> None:
+    """Shade the band of the strength of one alloy from time zero on."""
     if not rows:
         return
     times = [0.0, *(86400.0 * row.immersion_days / second for row in rows)]
-    low, high = ([100 * start, *(100 * getattr(row, field)[end] for row in rows)] for end in (0, 2))
+    low, high = ([100.0, *(100 * row.strength_ratio[end] for row in rows)] for end in (0, 2))
     axes.fill_between(times, low, high, color=style["color"], alpha=0.18, lw=0)
 
 
@@ -150,7 +156,7 @@ def strength_plot(
     longest = max((i.seconds for a in alloys for i in a.immersions), default=1.0)
     for n, alloy in enumerate(alloys):
         rows = [band for band in bands if band.alloy == alloy.name]
-        _shade(axes, rows, "strength_ratio", 1.0, time_axis(longest)[0], _style(n))
+        _shade(axes, rows, time_axis(longest)[0], _style(n))
     second, unit = time_axis(longest)
     marks: Marks = []
     for n, alloy in enumerate(alloys):
