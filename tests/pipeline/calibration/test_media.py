@@ -147,7 +147,7 @@ def test_the_command_refuses_in_one_sentence(more, words, tmp_path, capsys):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("alloy", "week", "end"), [("Mg-5Gd", 0.205, 0.503), ("Mg-10Gd", 0.215, 0.451)]
+    ("alloy", "week", "end"), [("Mg-5Gd", 0.201, 0.493), ("Mg-10Gd", 0.215, 0.451)]
 )
 def test_the_published_ratios_are_those_of_the_losses_and_no_constants(alloy, week, end):
     """Table 5.5 by marches; "0.5 and 0.46" are printed, and follow from no diffusivities."""
@@ -161,4 +161,4 @@ def test_the_published_ratios_are_those_of_the_losses_and_no_constants(alloy, we
         for name in ("table-5.5-in-vitro", "table-5.5-in-vivo")
     ]
     ratio = np.array(losses[0]) / losses[1]
-    assert ratio == pytest.approx([week, end], abs=0.01)
+    assert ratio == pytest.approx([week, end], abs=0.01)  # printed to 0.01 at best
