@@ -27,6 +27,7 @@ class Phases:
     sum, box, near : sums over bonds on the lattice, on the box around the initial metal (None
     without metal), and on the lattice for the box's rows only.  capacity : relative volume of
     each cell.  metal, fixed, free : bool, nodes that are metal, held at zero, and unknown liquid.
+    largest_sum : of the bonds of a node to liquid, 1/m^2.
     solid : uint8, which of the scene's solids (from 1) a node was at the start.  box_* : the same
     on the box.
     """
@@ -111,6 +112,7 @@ class Phases:
         self.liquid_volume = np.where(liquid, self.capacity, 0.0)
         self.free_volume = np.where(self.free, self.capacity, 0.0)
         self.neighbour_liquid = self.sum(self.liquid_volume)
+        self.largest_sum = self.processes.largest(float(self.neighbour_liquid.max()))
         self._rates = None
         if self.box is not None:
             self.box_metal = self.take(self.metal) > 0

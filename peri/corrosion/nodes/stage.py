@@ -185,12 +185,14 @@ class StageSolver:
             source *= d.take(system.mask)
             r[d.window] += source[d.box.interior]
         wanted = d.tolerance * scale
-        floor = _ROUND_OFF * d.scene.liquid_diffusivity * self._norm(system.weight * y)
-        floor *= d.processes.largest(float(d.neighbour_liquid.max()))
+        rounding = _ROUND_OFF * d.scene.liquid_diffusivity * d.largest_sum
+        floor = 0.0
+        if rounding * tau > 1e-3 * d.tolerance:  # else the floor is far below
+            floor = rounding * self._norm(system.weight * y)
         wanted = max(wanted, floor)
         enough = max(wanted, _ROUND_REDUCTION * self._norm(r)) if held else wanted
         iterations = system.solve(y, r, enough)
-        if wanted == floor and not held and not d.is_open:
+        if 0 < wanted == floor and not held and not d.is_open:
             self._level(y, right, exchange)
         return iterations, enough <= wanted
 
