@@ -314,7 +314,8 @@ def write_overview(run: RunResults, pictures: dict[tuple[str, str, str], Path], 
     from matplotlib.colors import LinearSegmentedColormap, Normalize
     from matplotlib.figure import Figure
 
-    from pipeline.report.plots import ALLOY_COLOURS, draw_strength, name_lines
+    from pipeline.report.drawing import ALLOY_COLOURS
+    from pipeline.report.plots import draw_strength, name_lines
     from pipeline.report.wording import duration
     from pipeline.scene.holding import HOLDINGS
     from pipeline.scene.loads import LOADS

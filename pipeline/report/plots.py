@@ -1,59 +1,33 @@
-"""The curves of the report, drawn with matplotlib as SVG that follows the page's colours.
+"""The curves of the report, as SVG (drawing.py)."""
 
-Figures are built without pyplot, so nothing of matplotlib's global state changes.  Colours are
-placeholders that become CSS variables in the SVG text: one drawing serves light, dark and paper.
-"""
-
-import io
-import re
 from collections.abc import Mapping, Sequence
-from html import escape
 
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_svg import FigureCanvasSVG
-from matplotlib.figure import Figure
-from matplotlib.ticker import MultipleLocator
-from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
 
 from perilife_data import VolumeLossData
 from pipeline.record.bands import BandRow
 from pipeline.record.run_results import AlloyResult, column
+from pipeline.report.drawing import (
+    INK,
+    LINE_STYLES,
+    RAMP,
+    SERIES,
+    TIME_RAMP,
+    Marks,
+    capital,
+    few,
+    finish,
+    line_of,
+    marker_of,
+    new_figure,
+    smooth,
+    style_of,
+    svg_of,
+    time_axis,
+    time_ticks,
+)
 from pipeline.scene.loads import LOADS, LoadNames
-from pipeline.scene.units import SECONDS_PER
-
-ALLOY_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#8f6f00", "#56b4e9")
-"""Okabe and Ito's colours (one darkened), distinguishable without colour vision; for paper."""
-MARKERS = ("o", "s", "^", "D", "v", "P")
-LINE_STYLES = ("-", (0, (5, 1.6)), (0, (1.2, 1.2)), (0, (5, 1.2, 1, 1.2)))
-TIME_RAMP = 8
-"""Number of steps of the colour ramp for immersion times; the CSS names them --t0 to --t7."""
-
-_INK, _FAINT = "#a1b1c0", "#a1b1c1"
-_SERIES = tuple(f"#a1b2c{n:x}" for n in range(len(ALLOY_COLOURS)))
-_RAMP = tuple(f"#a1b3c{n:x}" for n in range(TIME_RAMP))
-_CSS = {
-    _INK: "var(--ink)",
-    _FAINT: "var(--line)",
-    **{colour: f"var(--s{n})" for n, colour in enumerate(_SERIES)},
-    **{colour: f"var(--t{n})" for n, colour in enumerate(_RAMP)},
-}
-_SIZE = (4.6, 3.3)
-_MOST_MARKS = 60
-"""Values of one curve that can be read off under the pointer."""
-
-Marks = list[tuple[float, float, str]]
-"""Values of a drawing to be read off: place on either axis, and the words."""
-
-
-def time_axis(longest: float) -> tuple[float, str]:
-    """Seconds per unit and name of the unit in which times up to `longest` (s) read best."""
-    for name, unit, least in (("weeks", "w", 2.0), ("days", "d", 2.0), ("hours", "h", 2.0)):
-        if longest >= least * SECONDS_PER[unit]:
-            return SECONDS_PER[unit], name
-    return 1.0, "seconds"
 
 
 def volume_loss_plot(
@@ -65,7 +39,7 @@ def volume_loss_plot(
 
     bands: 5 to 95 % of the samples of the constants, as bars at their times.
     """
-    figure, axes = _figure()
+    figure, axes = new_figure()
     longest = max(
         [a.immersions[-1].seconds for a in alloys if a.immersions]
         + [float(data.times.max()) for data in measured.values()]
@@ -74,19 +48,19 @@ def volume_loss_plot(
     second, unit = time_axis(longest)
     marks: Marks = []
     for n, alloy in enumerate(alloys):
-        style = _style(n)
+        style = style_of(n)
         time, loss = column(alloy.history, "time"), column(alloy.history, "volume_loss")
         known = [i for i in alloy.immersions if i.summary is not None]
         if time is not None and loss is not None:
-            times, losses = _smooth(time, loss)
-            axes.plot(times / second, 100 * losses, lw=1.8, label=alloy.name, **_line(style))
+            times, losses = smooth(time, loss)
+            axes.plot(times / second, 100 * losses, lw=1.8, label=alloy.name, **line_of(style))
             marks += [
                 (
                     t / second,
                     100 * v,
                     f"{alloy.name}, {t / second:.3g} {unit}: {100 * v:.2f} % lost",
                 )
-                for t, v in zip(*_few(time, loss), strict=True)
+                for t, v in zip(*few(time, loss), strict=True)
             ]
         elif known:
             axes.plot([], [], lw=1.8, label=alloy.name, **style)
@@ -96,7 +70,7 @@ def volume_loss_plot(
                 [100 * i.summary.volume_loss for i in known],
                 ls="none",
                 ms=5,
-                **_marker(style),
+                **marker_of(style),
             )
         own = [b for b in bands if b.alloy == alloy.name]
         axes.vlines(  # not joined: the loss between the times is no straight line
@@ -124,11 +98,11 @@ def volume_loss_plot(
                 color=style["color"],
                 label=f"{alloy.name}, measured",
             )
-    _time_ticks(axes, unit)
+    time_ticks(axes, unit)
     axes.set_ylabel("Volume loss (%)")
-    _finish(axes, zero=True)
+    finish(axes, zero=True)
     title = "Volume loss in per cent against immersion time"
-    return _svg(figure, "volume-loss", title, marks)
+    return svg_of(figure, "volume-loss", title, marks)
 
 
 def _shade(axes: Axes, rows: Sequence[BandRow], second: float, style: dict) -> None:
@@ -152,11 +126,11 @@ def strength_plot(
     bands: 5 to 95 % of the samples of the constants, shaded; error: of the strength left, relative,
     as measured of mesh and increments, shaded more strongly, None where it was not.
     """
-    figure, axes = _figure()
+    figure, axes = new_figure()
     longest = max((i.seconds for a in alloys for i in a.immersions), default=1.0)
     for n, alloy in enumerate(alloys):
         rows = [band for band in bands if band.alloy == alloy.name]
-        _shade(axes, rows, time_axis(longest)[0], _style(n))
+        _shade(axes, rows, time_axis(longest)[0], style_of(n))
     second, unit = time_axis(longest)
     marks: Marks = []
     for n, alloy in enumerate(alloys):
@@ -167,7 +141,7 @@ def strength_plot(
                 [100 * i.strength_ratio * (1 + side * error * (i.seconds > 0)) for i in known]
                 for side in (-1, 1)
             )
-            axes.fill_between(times, low, high, color=_style(n)["color"], alpha=0.28, lw=0)
+            axes.fill_between(times, low, high, color=style_of(n)["color"], alpha=0.28, lw=0)
         for time, item in zip(times, known, strict=True):
             peak = ""
             if item.reaction is not None and len(item.reaction):
@@ -175,10 +149,10 @@ def strength_plot(
             value = 100 * item.strength_ratio
             text = f"{alloy.name}, {time:.3g} {unit}: {value:.1f} % left{peak}"
             marks.append((time, value, text))
-    draw_strength(axes, alloys, colours=_SERIES, names=names)
-    _finish(axes, zero=True)
-    title = f"{_capital(names.strength)} left in per cent against immersion time"
-    return _svg(figure, f"strength-{hold}", title, marks)
+    draw_strength(axes, alloys, colours=SERIES, names=names)
+    finish(axes, zero=True)
+    title = f"{capital(names.strength)} left in per cent against immersion time"
+    return svg_of(figure, f"strength-{hold}", title, marks)
 
 
 def draw_strength(
@@ -197,7 +171,7 @@ def draw_strength(
     second, unit = time_axis(longest)
     severed = []
     for n, alloy in enumerate(alloys):
-        style = _style(n, colours)
+        style = style_of(n, colours)
         known = [i for i in alloy.immersions if i.strength_ratio is not None]
         if not known:
             continue
@@ -222,8 +196,8 @@ def draw_strength(
             clip_on=False,
             zorder=4,
         )
-    _time_ticks(axes, unit)
-    axes.set_ylabel(f"{_capital(names.strength)} left (%)")
+    time_ticks(axes, unit)
+    axes.set_ylabel(f"{capital(names.strength)} left (%)")
     axes.set_ylim(0, max(105.0, axes.get_ylim()[1]))
 
 
@@ -262,11 +236,11 @@ def load_plot(alloy: AlloyResult, name: str, most: float, names: LoadNames = LOA
 
     most: upper end of the force axis (SI), so that the alloys' plots share one scale.
     """
-    figure, axes = _figure()
+    figure, axes = new_figure()
     marks: Marks = []
     tested = [i for i in alloy.immersions if i.reaction is not None and i.abscissa is not None]
     for n, item in enumerate(tested):
-        shade = _RAMP[round(n * (TIME_RAMP - 1) / max(1, len(tested) - 1))]
+        shade = RAMP[round(n * (TIME_RAMP - 1) / max(1, len(tested) - 1))]
         along, force = item.abscissa, names.shown_factor * item.reaction
         if len(force) == 0 or not np.any(force > 0):
             axes.plot([], [], color=shade, lw=1.8, label=f"{item.label}: carries nothing")
@@ -276,15 +250,15 @@ def load_plot(alloy: AlloyResult, name: str, most: float, names: LoadNames = LOA
         axes.plot(along[peak], force[peak], "o", ms=4, color=shade)
         marks += [
             (x, y, f"{item.label}: {y:.3g} {names.shown_unit} at {x:.3g} {names.abscissa_unit}")
-            for x, y in zip(*_few(along, force, peak), strict=True)
+            for x, y in zip(*few(along, force, peak), strict=True)
         ]
     axes.set_xlabel(names.abscissa_title)
-    axes.set_ylabel(f"{_capital(names.reaction)} ({names.shown_unit})")
+    axes.set_ylabel(f"{capital(names.reaction)} ({names.shown_unit})")
     axes.set_ylim(0, 1.05 * names.shown_factor * (most or 1.0))
     axes.set_xlim(left=0)
-    _finish(axes, zero=False)
-    title = f"{_capital(names.reaction)} against {names.abscissa} of {alloy.name}"
-    return _svg(figure, f"curves-{name}", title, marks)
+    finish(axes, zero=False)
+    title = f"{capital(names.reaction)} against {names.abscissa} of {alloy.name}"
+    return svg_of(figure, f"curves-{name}", title, marks)
 
 
 def ph_plot(alloy: str, name: str, rows: Sequence[Mapping], medium: float) -> str:
@@ -292,145 +266,15 @@ def ph_plot(alloy: str, name: str, rows: Sequence[Mapping], medium: float) -> st
 
     rows: per time `time` (s), `profile_um` and `profile_ph`; medium: its pH, dotted.
     """
-    figure, axes = _figure()
+    figure, axes = new_figure()
     for n, row in enumerate(rows):
-        shade = _RAMP[round(n * (TIME_RAMP - 1) / max(1, len(rows) - 1))]
+        shade = RAMP[round(n * (TIME_RAMP - 1) / max(1, len(rows) - 1))]
         second, unit = time_axis(max(row["time"], 1.0))
         label = f"{row['time'] / second:.3g} {unit}" if row["time"] else "start"
         axes.plot(row["profile_um"], row["profile_ph"], color=shade, lw=1.8, label=label)
-    axes.axhline(medium, color=_INK, lw=1.0, ls=":")
+    axes.axhline(medium, color=INK, lw=1.0, ls=":")
     axes.set_xlabel("Distance from the metal (µm)")
     axes.set_ylabel("pH")
     axes.set_xlim(left=0)
-    _finish(axes, zero=False)
-    return _svg(figure, f"ph-{name}", f"pH against the distance from the metal, {alloy}")
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
-
-
-def _smooth(
-    time: NDArray[np.float64], values: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """A curve through all steps of a march that neither overshoots nor shows their corners."""
-    time, first = np.unique(time, return_index=True)
-    if len(time) < 3:
-        return time, values[first]
-    fine = np.unique(np.concatenate([time, np.linspace(time[0], time[-1], 200)]))
-    return fine, PchipInterpolator(time, values[first])(fine)
-
-
-def _time_ticks(axes: Axes, unit: str) -> None:
-    """Label the time axis, with ticks where people expect them: every 4 weeks, every 7 days."""
-    axes.set_xlabel(f"Immersion time ({unit})")
-    axes.set_xlim(left=0)
-    steps = {"weeks": (1, 2, 4, 8, 12, 26, 52), "days": (1, 2, 7, 14), "hours": (1, 2, 6, 12, 24)}
-    fitting = [s for s in steps.get(unit, ()) if 3 <= axes.get_xlim()[1] / s <= 9]
-    if fitting:
-        axes.xaxis.set_major_locator(MultipleLocator(fitting[0]))
-
-
-def _figure() -> tuple[Figure, Axes]:
-    figure = Figure(figsize=_SIZE, layout="constrained")
-    axes = figure.add_subplot()
-    for item in (axes.xaxis, axes.yaxis):
-        item.label.set_color(_INK)
-        item.label.set_fontsize(9)
-    axes.tick_params(colors=_INK, labelsize=8.5, width=0.7, length=3)
-    for side, spine in axes.spines.items():
-        spine.set_visible(side in ("left", "bottom"))
-        spine.set_color(_INK)
-        spine.set_linewidth(0.7)
-    axes.grid(color=_FAINT, lw=0.6)
-    axes.set_axisbelow(True)
-    axes.patch.set_alpha(0.0)
-    figure.patch.set_alpha(0.0)
-    return figure, axes
-
-
-def _style(n: int, colours: Sequence[str] = _SERIES) -> dict:
-    return {
-        "color": colours[n % len(colours)],
-        "marker": MARKERS[n % len(MARKERS)],
-        "ls": LINE_STYLES[n % len(LINE_STYLES)],
-    }
-
-
-def _line(style: dict) -> dict:
-    return {"color": style["color"], "ls": style["ls"]}
-
-
-def _marker(style: dict) -> dict:
-    return {"color": style["color"], "marker": style["marker"]}
-
-
-def _few(
-    x: NDArray[np.float64], y: NDArray[np.float64], keep: int = 0
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """At most so many points of a curve that each can be pointed at, number `keep` among them."""
-    picks = np.linspace(0, len(x) - 1, min(len(x), _MOST_MARKS)).round().astype(int)
-    picks = np.unique(np.append(picks, keep))
-    picks = picks[np.isfinite(x[picks]) & np.isfinite(y[picks])]
-    return x[picks], y[picks]
-
-
-def _finish(axes: Axes, *, zero: bool) -> None:
-    """Limits, and the legend above the axes, its entries in the order of drawing row by row."""
-    if zero:
-        axes.set_xlim(left=0)
-        axes.set_ylim(bottom=0)
-    handles, labels = axes.get_legend_handles_labels()
-    if not handles:
-        return
-    columns = min(len(labels), 6 if max(map(len, labels)) <= 3 else 3)
-    axes.figure.legend(
-        _by_rows(handles, columns),
-        _by_rows(labels, columns),
-        loc="outside upper left",
-        ncols=columns,
-        columnspacing=1.2,
-        fontsize=8.5,
-        frameon=False,
-        labelcolor=_INK,
-        handlelength=1.8,
-    )
-
-
-def _by_rows(entries: Sequence, columns: int) -> list:
-    """The entries in the order in which matplotlib, column by column, fills rows with them."""
-    return [entry for first in range(columns) for entry in entries[first::columns]]
-
-
-def _svg(figure: Figure, name: str, label: str, marks: Marks = ()) -> str:
-    """The figure as an SVG element for an HTML page: CSS colours, page font, unique ids.
-
-    marks: values of the first axes, as circles with a title that the page's script shows.
-    """
-    buffer = io.StringIO()
-    with rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
-        FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None})
-    text = buffer.getvalue()
-    text = text[text.index("<svg") :]
-    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
-    text = re.sub(r'\bid="', f'id="{name}-', text)
-    text = re.sub(r'href="#', f'href="#{name}-', text)
-    text = re.sub(r"url\(#", f"url(#{name}-", text)
-    text = re.sub(r"<defs>\s*<style.*?</style>\s*</defs>", "", text, flags=re.DOTALL)
-    text = re.sub(r"font: ([\d.]+)px [^;\"]*", r"font-size: \1px", text)
-    text = re.sub(r"font-family: [^;\"]*; ?", "", text)
-    for colour, variable in _CSS.items():
-        text = text.replace(colour, variable)
-    width, height = (72 * figure.get_size_inches()).round(2)
-    head = (
-        f'<svg class="plot" role="img" aria-label="{label}" viewBox="0 0 {width} {height}" '
-        'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink">'
-    )
-    body = text[text.index(">") + 1 : text.rindex("</svg>")]
-    to_figure = figure.axes[0].transData - figure.transFigure
-    circles = [
-        f'<circle class="value" cx="{width * x:.1f}" cy="{height * (1 - y):.1f}" r="3.5">'
-        f"<title>{escape(words)}</title></circle>"
-        for (x, y), words in ((to_figure.transform(mark[:2]), mark[2]) for mark in marks)
-    ]
-    return head + body + "".join(circles) + "</svg>"
+    finish(axes, zero=False)
+    return svg_of(figure, f"ph-{name}", f"pH against the distance from the metal, {alloy}")

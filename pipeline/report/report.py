@@ -9,13 +9,11 @@ import io
 import logging
 import math
 import platform
-import re
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 
-import jinja2
 import numpy as np
 from markupsafe import Markup
 from PIL import Image, features
@@ -34,6 +32,7 @@ from pipeline.report.picture_set import PictureSet, make_pictures, times_shown
 from pipeline.report.pictures import DAMAGE_COLOURS, MAXIMUM_DAMAGE, SIZE, write_overview
 from pipeline.report.shares import share_tables
 from pipeline.report.solid_view import solid_view
+from pipeline.report.templating import environment, script
 from pipeline.report.wording import (
     caption,
     duration,
@@ -53,7 +52,6 @@ from pipeline.scene.units import format_bytes, format_length, format_seconds
 logger = logging.getLogger(__name__)
 
 OVERVIEW_FILE = "overview.png"
-TEMPLATES = Path(__file__).parent / "templates"
 STAGE_TITLES = {
     "geometry": "Solid and mesh",
     "corrode": "Corrosion",
@@ -101,62 +99,58 @@ def write_report(run_folder: Path | str) -> Path:
     if pictures.paths:
         write_overview(run, pictures.paths, run.folder / OVERVIEW_FILE)
     references = provenance.references(rows)
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(TEMPLATES),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters.update(symbol=_symbol, unit=_unit)
-    page = environment.get_template("report.html.j2").render(
-        title=" and ".join(names),
-        solid=_solid_in_words(run),
-        load=load,
-        final_strain=percent(run.scene.tensile.final_strain),
-        deed=load.deed + until_it_gives_way(a for alloys in run.held.values() for a in alloys),
-        headlines=[_answer(run, alloy, load) for alloy in run.alloys],
-        holds=_holds(run),
-        published=_published(run),
-        hold_times=[duration(t.seconds) for t in run.scene.immersion if t.seconds > 0],
-        parameter_set=_parameter_set(run),
-        preset=doubts.settings_name(run.scene),
-        tables=[
-            (HOLDINGS[name], found)
-            for name, alloys in run.held.items()
-            if (found := [_table_row(a, i) for a in alloys for i in _tested(a)])
-        ],
-        pictures=_pictures(run, pictures),
-        solid_view=solid_view(run),
-        scripts={name: _script(name) for name in ("viewer.js", "page.js")},
-        downloads=downloads(run),
-        picture_size=SIZE,
-        damage_ramp=_damage_ramp(),
-        plots=_plots(run, measured, load, banded),
-        bands=[_band_row(row) for row in banded],
-        shares=share_tables(run, read_doubts(run.folder / DOUBTS_FILE)),
-        measured=sorted(measured),
-        checks=doubts.checks(run),
-        error_estimate=doubts.error_estimate(run),
-        in_short=doubts.in_short(run, len(assumed)),
-        twice_as_sure=doubts.twice_as_sure(run),
-        omissions=doubts.omissions(run),
-        ions=ion_section(run),
-        alloys=names,
-        assumed_count=len(assumed),
-        assumptions=provenance.side_by_side(assumed, names),
-        parameters=provenance.side_by_side([row for row in rows if row not in assumed], names),
-        settings=provenance.settings(run.scene),
-        kinds=[(k, v) for k, v in provenance.kinds_explained().items() if _has(rows, k)],
-        solid_rows=_solid_rows(run),
-        stages=_stage_times(run),
-        versions=_versions(run),
-        machine=_machine(),
-        references=references,
-        numbers={key: n for n, key in enumerate(references, start=1)},
-        missing=[*gathered(run.missing), *trouble],
-        created=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        folder=run.folder.resolve().name,
+    page = (
+        environment()
+        .get_template("report.html.j2")
+        .render(
+            title=f"Strength left: {' and '.join(names)}",
+            solid=_solid_in_words(run),
+            load=load,
+            final_strain=percent(run.scene.tensile.final_strain),
+            deed=load.deed + until_it_gives_way(a for alloys in run.held.values() for a in alloys),
+            headlines=[_answer(run, alloy, load) for alloy in run.alloys],
+            holds=_holds(run),
+            published=_published(run),
+            hold_times=[duration(t.seconds) for t in run.scene.immersion if t.seconds > 0],
+            parameter_set=_parameter_set(run),
+            preset=doubts.settings_name(run.scene),
+            tables=[
+                (HOLDINGS[name], found)
+                for name, alloys in run.held.items()
+                if (found := [_table_row(a, i) for a in alloys for i in _tested(a)])
+            ],
+            pictures=_pictures(run, pictures),
+            solid_view=solid_view(run),
+            scripts={name: script(name) for name in ("viewer.js", "page.js")},
+            downloads=downloads(run),
+            picture_size=SIZE,
+            damage_ramp=_damage_ramp(),
+            plots=_plots(run, measured, load, banded),
+            bands=[_band_row(row) for row in banded],
+            shares=share_tables(run, read_doubts(run.folder / DOUBTS_FILE)),
+            measured=sorted(measured),
+            checks=doubts.checks(run),
+            error_estimate=doubts.error_estimate(run),
+            in_short=doubts.in_short(run, len(assumed)),
+            twice_as_sure=doubts.twice_as_sure(run),
+            omissions=doubts.omissions(run),
+            ions=ion_section(run),
+            alloys=names,
+            assumed_count=len(assumed),
+            assumptions=provenance.side_by_side(assumed, names),
+            parameters=provenance.side_by_side([row for row in rows if row not in assumed], names),
+            settings=provenance.settings(run.scene),
+            kinds=[(k, v) for k, v in provenance.kinds_explained().items() if _has(rows, k)],
+            solid_rows=_solid_rows(run),
+            stages=_stage_times(run),
+            versions=_versions(run),
+            machine=_machine(),
+            references=references,
+            numbers={key: n for n, key in enumerate(references, start=1)},
+            missing=[*gathered(run.missing), *trouble],
+            created=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+            folder=run.folder.resolve().name,
+        )
     )
     path = run.folder / REPORT_FILE
     write_text(path, page)
@@ -271,23 +265,6 @@ def _table_row(alloy: AlloyResult, item: ImmersionResult) -> dict[str, object]:
     }
 
 
-def _symbol(text: str) -> Markup:
-    """`D_int` with int as an index; `q1` likewise."""
-    match = re.fullmatch(r"(\w)_?(\w+)", text)
-    return Markup("<i>{}</i><sub>{}</sub>").format(*match.groups()) if match else _italic(text)
-
-
-def _italic(text: str) -> Markup:
-    return Markup("<i>{}</i>").format(text)
-
-
-def _unit(text: str) -> str:
-    """`mol/m^3` with a raised 3 and `um` with its Greek letter; `1e-5` is left alone."""
-    text = re.sub(r"\bum\b", "µm", text)
-    raised = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
-    return re.sub(r"\^(-?\d+)", lambda match: match.group(1).translate(raised), text)
-
-
 def _or_dash(value: float, write) -> str:
     return write(value) if math.isfinite(value) else "–"
 
@@ -317,11 +294,6 @@ def _embed(path: Path, alloy: AlloyResult, item: ImmersionResult) -> Picture:
     view = "whole" if path.stem.endswith("whole") else "cut in half"
     text = f"{alloy.name} after {duration(item.seconds)}, {view}, coloured by corrosion damage"
     return Picture(f"data:image/{kind};base64,{base64.b64encode(content).decode()}", text)
-
-
-def _script(name: str) -> Markup:
-    """A script of this project, to stand in the page itself."""
-    return Markup((TEMPLATES / name).read_text(encoding="utf-8"))
 
 
 def _damage_ramp() -> dict[str, object]:

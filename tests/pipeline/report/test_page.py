@@ -12,7 +12,7 @@ import pytest
 
 from pipeline.record.run_results import read_run
 from pipeline.record.summary import read_summary, write_summary
-from pipeline.report import doubts, picture_set, plots, provenance, report, solid_view
+from pipeline.report import doubts, drawing, picture_set, plots, provenance, report, solid_view
 from pipeline.report.downloads import downloads
 from pipeline.report.pictures import damage_at_points, refine_tetrahedra
 from tests.pipeline.report.run_folders import RATIOS, pin_mesh, scene_of, write_run
@@ -144,7 +144,7 @@ def test_names_of_lines_do_not_lie_over_one_another():
     "count, columns, rows", [(5, 3, "abcde"), (6, 3, "abcdef"), (2, 2, "ab"), (7, 3, "abcdefg")]
 )
 def test_legends_read_row_by_row(count, columns, rows):
-    filled = plots._by_rows(list(rows), columns)
+    filled = drawing.by_rows(list(rows), columns)
     # as matplotlib fills: column by column, the first ones with one more where it does not come out
     height, more = divmod(count, columns)
     table, at = [], 0
