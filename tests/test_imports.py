@@ -119,6 +119,7 @@ BELOW = {
             "campaigns",
             "export",
         },
+        "run": {"scene", "record", "stages", "life_cycle", "campaigns"},
         "cli": {
             "scene",
             "record",
@@ -129,6 +130,7 @@ BELOW = {
             "campaigns",
             "benches",
             "export",
+            "run",
         },
     },
 }

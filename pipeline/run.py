@@ -1,0 +1,77 @@
+"""One run as the options of `perilife run` ask for it: for the command and for Python alike."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+from pipeline.campaigns.options import add_sample_options
+from pipeline.record.options import add_folder_options, add_machine_options
+from pipeline.scene.options import add_scene_options
+
+if TYPE_CHECKING:
+    from pipeline.record.progress import Progress
+    from pipeline.record.run_folder import RunFolder
+    from pipeline.record.summary import SummaryRow
+    from pipeline.scene.scene import Scene
+
+
+def add_run_options(parser: argparse.ArgumentParser) -> None:
+    """Every option of `perilife run`."""
+    add_scene_options(parser)
+    add_folder_options(parser, resume=True)
+    add_machine_options(parser)
+    add_sample_options(parser)
+
+
+def fitting_scene(options: argparse.Namespace) -> tuple[Scene, object]:
+    """The scene of the options, and its solid where that had to be built to choose the spacing."""
+    from pipeline.scene.options import scene_from_options
+
+    scene = scene_from_options(options)
+    if options.spacing != "auto":
+        return scene, None
+    from pipeline.stages.sizes import with_fitting_spacing
+
+    return with_fitting_spacing(scene)
+
+
+def resolved(options: argparse.Namespace) -> tuple[Scene, object]:
+    """The scene of a run and, where it had to be built, its solid.
+
+    Raises ValueError or OSError with one sentence for what cannot be computed or is more than
+    this machine has cores for.
+    """
+    from pipeline.record.machine import check_counts
+    from pipeline.stages.march_on_ranks import check_ranks
+
+    check_counts(options.np, options.pulls, options.oversubscribe)
+    check_counts(options.ranks, None, options.oversubscribe, "--ranks")
+    scene, solid = fitting_scene(options)
+    check_ranks(scene, options.ranks)
+    return scene, solid
+
+
+def carry_out(
+    options: argparse.Namespace, scene: Scene, solid: object, progress: Progress
+) -> tuple[RunFolder, list[SummaryRow]]:
+    """Run the scene in the folder that the options name; the folder and the rows of summary.csv."""
+    from pipeline.record.run_folder import RunFolder
+
+    folder = RunFolder(options.out)
+    shared = {
+        "resume": options.resume,
+        "ranks": options.np,
+        "workers": options.pulls,
+        "progress": progress,
+        "march_ranks": options.ranks,
+    }
+    if options.samples is None:
+        from pipeline.life_cycle import run_life_cycle
+
+        return folder, run_life_cycle(scene, folder, solid=solid, **shared)
+    from pipeline.campaigns.bands import run_with_bands
+
+    shared["tolerance"] = options.strength_tolerance
+    shared["surrogate"] = options.surrogate
+    return folder, run_with_bands(scene, folder.path, options.samples, **shared)
