@@ -23,7 +23,7 @@ from pipeline.record.summary import SummaryRow, write_summary
 from pipeline.scene.loads import LOADS
 from pipeline.scene.scene import HoldScene, Scene
 from pipeline.scene.units import ImmersionTime
-from pipeline.stages.strength import TensileJob, read_result, run_jobs, written_files
+from pipeline.stages.strength import TensileJob, read_result, run_jobs, run_jobs_here, written_files
 
 logger = logging.getLogger(__name__)
 
@@ -69,7 +69,8 @@ class LifeCycle:
     """One run: a scene, its folder, how many MPI ranks per pull and how many pulls at a time.
 
     workers: None takes as many as the cores allow.  solid: the solid of the scene where it has
-    been built already.  march_ranks: MPI ranks of each march, 1 for this very process.
+    been built already.  march_ranks: MPI ranks of each march, 1 for this very process.  pull_here:
+    in this very process, one after another, which then ends with a pull that crashes.
     """
 
     def __init__(
@@ -82,8 +83,9 @@ class LifeCycle:
         progress: Progress | None = None,
         solid: object = None,
         march_ranks: int = 1,
+        pull_here: bool = False,
     ):
-        self.march_ranks = march_ranks
+        self.march_ranks, self.pull_here = march_ranks, pull_here
         self.scene = scene
         self.folder = folder if isinstance(folder, RunFolder) else RunFolder(folder)
         self.ranks = ranks
@@ -199,7 +201,8 @@ class LifeCycle:
             self._complete("pull", folder, inputs, seconds, outcome)
             self.progress.finished(key, seconds)
 
-        run_jobs(
+        run = run_jobs_here if self.pull_here else run_jobs
+        run(
             jobs,
             ranks=self.ranks,
             workers=min(self.workers, max(1, len(jobs))),

@@ -76,7 +76,9 @@ def _samples(count: int, options: dict[str, str]) -> list[Result]:
         )
         begun = time.perf_counter()
         with local(None, None) as crew:
-            path, failures = run_campaign(read_campaign(toml), folder / "out", crew.executor)
+            path, failures = run_campaign(
+                read_campaign(toml), folder / "out", crew.executor, threads=crew.threads
+            )
         seconds = time.perf_counter() - begun
         rows = [line.split(",") for line in path.read_text().splitlines()]
         done = {

@@ -173,10 +173,12 @@ def run_campaign(
     out: Path,
     executor: Executor,
     say: Callable[[str], None] = lambda line: None,
+    threads: int = 1,
 ) -> tuple[Path, list[str]]:
     """Compute what the store lacks and write campaign.csv; returns its path and the failures.
 
-    The caller holds the store's lock.  A failed task costs the scenes that need it, no others.
+    threads: of the compiled kernels of a task.  The caller holds the store's lock.  A failed task
+    costs the scenes that need it, no others.
     """
     store = out / STORE_FOLDER
     failures: dict[str, str] = {}
@@ -184,7 +186,7 @@ def run_campaign(
         waiting = [task for task in wave if not _done(task)]
         if len(wave) > len(waiting):
             say(f"{wave[0].stage}: {len(wave) - len(waiting)} of {len(wave)} in the store, kept")
-        futures = {executor.submit(do_task, task.to_json()): task for task in waiting}
+        futures = {executor.submit(do_task, task.to_json(), threads): task for task in waiting}
         for count, future in enumerate(as_completed(futures), start=1):
             task = futures[future]
             said = future.result()
@@ -266,7 +268,7 @@ def run_from_options(options: argparse.Namespace, say: Callable[[str], None]) ->
         crew.check_memory(*largest_task(cases))
         with store.lock():
             crew.check_store(store.path)
-            path, failures = run_campaign(cases, out.resolve(), crew.executor, say)
+            path, failures = run_campaign(cases, out.resolve(), crew.executor, say, crew.threads)
     for failure in failures:
         say(f"failed: {failure}")
     say(f"table: {path}")

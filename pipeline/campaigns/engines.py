@@ -19,6 +19,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from pipeline.campaigns.task import workers_of
 from pipeline.record.machine import available_memory, processor_cores
 from pipeline.scene.units import format_bytes
 
@@ -36,11 +37,13 @@ class Crew:
     """Who does the tasks.
 
     executor: takes them; memory: bytes that a task may take beside the others of its host, at the
-    worker that has least; check_store: refuses workers that do not see a store.
+    worker that has least; threads: of the compiled kernels of a task; check_store: refuses workers
+    that do not see a store.
     """
 
     executor: Executor
     memory: float
+    threads: int = 1
     check_store: Callable[[Path], None] = lambda store: None
 
     def check_memory(self, needed: float, what: str) -> None:
@@ -54,12 +57,14 @@ class Crew:
 
 @contextmanager
 def local(workers: int | None, address: str | None) -> Iterator[Crew]:
-    """Child processes of this one; a thread waits for each."""
+    """Child processes of this one, each kept by the thread that waits for it."""
     if address is not None:
         raise ValueError("--scheduler goes with --engine dask, which must be given too")
-    count = workers or processor_cores()
-    with ThreadPoolExecutor(count) as executor:
-        yield Crew(executor, available_memory() / count)
+    cores = processor_cores()
+    count = workers or cores
+    executor = ThreadPoolExecutor(count)
+    with workers_of(executor):
+        yield Crew(executor, available_memory() / count, max(1, cores // count))
 
 
 @contextmanager
@@ -71,11 +76,11 @@ def dask(workers: int | None, address: str | None) -> Iterator[Crew]:
         raise ValueError(
             "--engine dask needs distributed, which is not installed; install perilife[cluster]"
         ) from None
-    cluster = None
+    cluster, threads = None, 1
     if address is None:
-        cluster = LocalCluster(
-            n_workers=workers or processor_cores(), threads_per_worker=1, dashboard_address=None
-        )
+        count = workers or processor_cores()
+        threads = max(1, processor_cores() // count)
+        cluster = LocalCluster(n_workers=count, threads_per_worker=1, dashboard_address=None)
     try:
         client = Client(cluster or address, timeout=PATIENCE)
     except (OSError, TimeoutError):
@@ -89,6 +94,7 @@ def dask(workers: int | None, address: str | None) -> Iterator[Crew]:
         yield Crew(
             client.get_executor(),
             min(limits, default=math.inf),
+            threads,
             lambda store: _check_store(client, store),
         )
     except TimeoutError:
@@ -130,14 +136,16 @@ def mpi(workers: int | None, address: str | None) -> Iterator[Crew]:
     with MPIPoolExecutor(workers) as executor:
         count = _PROBES * (workers or MPI.COMM_WORLD.size)
         found = set(executor.map(_host, range(count)))
-        ranks = Counter(node for node, _ in {(node, rank) for node, rank, _ in found})
-        yield Crew(executor, min(memory / ranks[node] for node, _, memory in found))
+        ranks = Counter(node for node, _ in {(node, rank) for node, rank, *_ in found})
+        memory = min(available / ranks[node] for node, _, available, _ in found)
+        threads = min(max(1, cores // ranks[node]) for node, _, _, cores in found)
+        yield Crew(executor, memory, threads)
 
 
-def _host(number: int) -> tuple[str, int, float]:
-    """Host of a rank, its process and the host's available memory (bytes)."""
+def _host(number: int) -> tuple[str, int, float, int]:
+    """Host of a rank, its process, the host's available memory (bytes) and the rank's cores."""
     time.sleep(_PAUSE)  # so that no rank takes the probes of the others
-    return platform.node(), os.getpid(), float(available_memory())
+    return platform.node(), os.getpid(), float(available_memory()), processor_cores()
 
 
 ENGINES = {"local": local, "dask": dask, "mpi": mpi}

@@ -1,25 +1,35 @@
-"""One task of a campaign: one stage of one scene, in a process of its own.
+"""One task of a campaign: one stage of one scene, in a child of whoever does it.
 
-`do_task` starts `python -m pipeline.campaigns.task`, so that a crash or the memory of one task
-never touches the others, whichever engine calls it.
+`do_task` hands it to `python -m pipeline.campaigns.task`, so that a crash of one task never touches
+the others, whichever engine calls it.  Each thread of an engine keeps its child for the next task:
+that a stage's libraries are imported and its kernels loaded for every task would cost as much as a
+fifth of a mechanical test.
 """
 
 from __future__ import annotations
 
-import json
-import subprocess
+import logging
 import sys
+import threading
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 from pipeline.campaigns.store import StoreFolder
 from pipeline.life_cycle import LifeCycle
 from pipeline.record.machine import child_environment
+from pipeline.record.worker import Worker, WorkerEndedError, serve
 from pipeline.scene.scene import Scene, scene_from_json
 
 ATTEMPTS = 3
 """How often a task whose process dies is begun; one that refuses is begun once."""
 
-_REFUSED = 2
+_MODULE = "pipeline.campaigns.task"
+
+_own = threading.local()
+_workers: set[Worker] = set()
+_ending = threading.Event()
 
 
 @dataclass(frozen=True)
@@ -45,31 +55,65 @@ class Task:
         }  # fmt: skip
 
 
-def do_task(content: dict) -> str:
-    """Do a task in a child process; returns an empty text, or one sentence on why it failed."""
-    said = ""
+def do_task(content: dict, threads: int = 1) -> str:
+    """Do a task in this thread's child; returns an empty text, or one sentence on why it failed.
+
+    threads: of the child's compiled kernels.
+    """
+    said = "the campaign was stopped"
     for _ in range(ATTEMPTS):
-        done = subprocess.run(
-            [sys.executable, "-m", "pipeline.campaigns.task"],
-            input=json.dumps(content),
-            env=child_environment(0, None),
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        if done.returncode == 0:
-            return ""
-        lines = done.stderr.strip().splitlines() or ["no message"]
-        said = f"{content['stage']} ended with exit status {done.returncode}: {lines[-1].strip()}"
-        if done.returncode == _REFUSED:
+        if _ending.is_set():
             break
+        worker = _worker(threads)
+        try:
+            return str(worker.ask(content))
+        except WorkerEndedError as error:
+            said = f"{content['stage']} ended with {error}"
+            _forget(worker)
     return said
+
+
+def _worker(threads: int) -> Worker:
+    """The child of this thread, started where there is none."""
+    kept, with_threads = getattr(_own, "worker", (None, 0))
+    if kept is not None and (with_threads != threads or not kept.alive()):
+        _forget(kept)
+        kept = None
+    if kept is None:
+        kept = Worker(_MODULE, child_environment(1, threads))
+        _own.worker = (kept, threads)
+        _workers.add(kept)
+    return kept
+
+
+def _forget(worker: Worker) -> None:
+    _workers.discard(worker)
+    worker.close()
+
+
+@contextmanager
+def workers_of(executor: Executor) -> Iterator[None]:
+    """Within, threads of an executor of this process do tasks; their children end with the block.
+
+    So do the tasks that still run then, where the block ends by an exception.
+    """
+    try:
+        yield
+    finally:
+        executor.shutdown(wait=False, cancel_futures=True)
+        _ending.set()
+        for worker in list(_workers):
+            worker.kill()
+        executor.shutdown()
+        for worker in list(_workers):
+            _forget(worker)
+        _ending.clear()
 
 
 def perform(content: dict) -> None:
     """Do a task in this process; a stage that the store has is left as it is."""
     scene = scene_from_json(content["scene"])
-    cycle = LifeCycle(scene, StoreFolder(content["store"], scene), workers=1)
+    cycle = LifeCycle(scene, StoreFolder(content["store"], scene), workers=1, pull_here=True)
     if content["stage"] == "geometry":
         cycle.geometry()
     elif content["stage"] == "corrode":
@@ -82,15 +126,15 @@ def perform(content: dict) -> None:
         cycle.pull([test])
 
 
-def main() -> int:
-    """Do the task that standard input describes."""
+def answer(content: dict) -> str:
+    """Do a task; an empty text, or one sentence on why it cannot be done."""
     try:
-        perform(json.loads(sys.stdin.read()))
+        perform(content)
     except (ValueError, OSError, MemoryError) as error:
-        print(" ".join(str(error).split()) or type(error).__name__, file=sys.stderr)
-        return _REFUSED
-    return 0
+        return " ".join(str(error).split()) or type(error).__name__
+    return ""
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    logging.basicConfig(level=logging.INFO, format="%(relativeCreated)8.0f ms %(message)s")
+    sys.exit(serve(answer))

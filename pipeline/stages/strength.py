@@ -13,7 +13,8 @@ import resource
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -82,6 +83,7 @@ def run_job(job: TensileJob, comm: object = None) -> None:
     tensile.vtu (the end, on the whole mesh) to `job.out`.  A checkpoint of an interrupted test of
     the same job is taken up; the ParaView series then begins there.
     """
+    begun = time.process_time()
     from mpi4py import MPI
 
     from fem.constitutive.hardening import VoceHardening
@@ -149,7 +151,7 @@ def run_job(job: TensileJob, comm: object = None) -> None:
     else:
         result = pull(None)
     if root:
-        _write_result(out, result, test.load)
+        _write_result(out, result, test.load, time.process_time() - begun)
         _write_picture(out, mesh, damage, result)
         checkpoint.unlink(missing_ok=True)
 
@@ -168,8 +170,11 @@ class _Seldom:
             self.last = time.monotonic()
 
 
-def _write_result(out: Path, result: object, load: str) -> None:
-    """tensile.csv: one row per point of the curve; tensile.json: what follows from it, SI."""
+def _write_result(out: Path, result: object, load: str, seconds: float) -> None:
+    """tensile.csv: one row per point of the curve; tensile.json: what follows from it, SI.
+
+    seconds: of the processor.
+    """
     names, motion, reaction = LOADS[load], result.load.motion, result.load.reaction
     history = result.history or {motion: result.motion, reaction: result.reaction}
     strain = history[motion] / result.load.extent
@@ -196,7 +201,7 @@ def _write_result(out: Path, result: object, load: str) -> None:
             "status": result.status,
             "length": float(result.length),
             "increments": len(strain) - 1,
-            "processor_seconds": time.process_time(),
+            "processor_seconds": seconds,
             "memory_bytes": 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss,
             **{name: int(getattr(result, name)) for name in counts},
             "cost": {name: float(value) for name, value in result.cost.items()},
@@ -288,6 +293,51 @@ def run_jobs(
             (Path(job.out) / PROGRESS_FILE).unlink(missing_ok=True)
     if failures:
         raise TensileStageError("; ".join(failures))
+
+
+def run_jobs_here(
+    jobs: dict[str, TensileJob],
+    finished: Callable[[str, float], None] = lambda key, seconds: None,
+    **others: object,
+) -> None:
+    """As `run_jobs`, one after another in this process, whose threads and descriptors they take.
+
+    For a process that is itself a child: what crashes ends it, and an exception is that of the job.
+    """
+    for key, job in jobs.items():
+        _forget_others(job)
+        job.write()
+        _forget_peak_memory()
+        begun = time.monotonic()
+        try:
+            with _printing_to(Path(job.out) / LOG_FILE):
+                run_job(job)
+        finally:
+            (Path(job.out) / PROGRESS_FILE).unlink(missing_ok=True)
+        finished(key, time.monotonic() - begun)
+
+
+def _forget_peak_memory() -> None:
+    """Let `ru_maxrss` begin anew, where the system can (Linux)."""
+    with suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")
+
+
+@contextmanager
+def _printing_to(path: Path) -> Iterator[None]:
+    """Within, what this process and its libraries print goes to a file."""
+    kept = [os.dup(number) for number in (1, 2)]
+    with open(path, "wb") as log:
+        for number in (1, 2):
+            os.dup2(log.fileno(), number)
+    try:
+        yield
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        for number, old in zip((1, 2), kept, strict=True):
+            os.dup2(old, number)
+            os.close(old)
 
 
 def _launcher(ranks: int) -> list[str]:

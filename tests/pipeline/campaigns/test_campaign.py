@@ -1,6 +1,7 @@
 """Campaigns: what a file asks for, what one task is, and (slow) engines, deaths, resumption."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -11,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.campaigns import campaign as module
-from pipeline.campaigns import engines
+from pipeline.campaigns import engines, task
 from pipeline.campaigns.campaign import (
     STORE_FOLDER,
     largest_task,
@@ -130,7 +131,7 @@ def test_a_task_that_refuses_is_begun_once_and_costs_its_scenes_only(tmp_path, m
     cases = read_campaign(write(tmp_path, 'length = ["4mm", "3mm"]\n', times='"0w"'))
     begun = []
 
-    def fake(content):
+    def fake(content, threads):
         begun.append((content["stage"], content["alloy"]))
         short = content["scene"]["geometry"]["parameters"]["length"] < 3.5e-3
         return "too short" if short else ""
@@ -143,16 +144,30 @@ def test_a_task_that_refuses_is_begun_once_and_costs_its_scenes_only(tmp_path, m
     assert len(rows) == 5 and all(row.endswith("failed") for row in rows[1:])
 
 
-def test_a_child_that_dies_is_begun_three_times(monkeypatch):
-    calls = []
+def test_a_task_whose_child_dies_is_begun_three_times_and_the_next_has_a_child(monkeypatch):
+    monkeypatch.setattr(task, "_MODULE", "tests.pipeline.record.answering")
+    with ThreadPoolExecutor(1) as executor, task.workers_of(executor):
+        found = [
+            executor.submit(do_task, {"stage": "test", "do": do}).result()
+            for do in ("nothing", "nothing", "die", "nothing")
+        ]
+    assert "test ended with signal SIGKILL" in found[2] and "last words" in found[2]
+    children = [re.search("'process': ([0-9]+)", said)[1] for said in found[:2] + found[3:]]
+    assert children[0] == children[1] != children[2] and not task._workers
 
-    def died(*arguments, **keywords):
-        calls.append(arguments)
-        return subprocess.CompletedProcess(arguments, -9, "", "")
 
-    monkeypatch.setattr(subprocess, "run", died)
-    assert "exit status -9: no message" in do_task({"stage": "test"})
-    assert len(calls) == 3
+def test_children_end_when_a_campaign_is_interrupted(monkeypatch):
+    monkeypatch.setattr(task, "_MODULE", "tests.pipeline.record.answering")
+    executor = ThreadPoolExecutor(1)
+    with pytest.raises(KeyboardInterrupt), task.workers_of(executor):
+        executor.submit(do_task, {"stage": "test", "do": "nothing"}).result()
+        child = next(iter(task._workers)).process
+        tasks = [executor.submit(do_task, {"stage": "test", "do": "sleep"}) for _ in range(3)]
+        time.sleep(0.2)
+        raise KeyboardInterrupt
+    assert child.returncode == -signal.SIGKILL and not task._workers
+    assert "SIGKILL" in tasks[0].result() or "stopped" in tasks[0].result()
+    assert tasks[2].cancelled()
 
 
 @pytest.fixture(scope="module")
