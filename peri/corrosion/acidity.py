@@ -9,6 +9,9 @@ import numpy as np
 
 from peri.corrosion.kinetics import Exposed, Kinetics
 
+HIGHEST_FITTED = 5600.0
+"""Up to where pH and current were measured, mol/m^3; the double exponential explodes beyond."""
+
 
 @dataclass(frozen=True)
 class AcidityLaw(Kinetics):
@@ -22,7 +25,7 @@ class AcidityLaw(Kinetics):
     Parameters
     ----------
     saturation_concentration : float
-        mol/m^3, > 0; the law holds from 0 to it.
+        mol/m^3, > 0 and at most 5600, up to where the law was fitted; it holds from 0 to it.
     reference_current : float
         A/m^2, > 0: the current density that a scene's dissolution flux is stated for.
     factor : float
@@ -45,6 +48,11 @@ class AcidityLaw(Kinetics):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
                 raise ValueError(f"{name}: {value}; it must be finite and positive")
+        if self.saturation_concentration > HIGHEST_FITTED * (1 + 1e-12):
+            raise ValueError(
+                f"saturation_concentration: {self.saturation_concentration} mol/m^3; the current "
+                f"by the acidity is known up to {HIGHEST_FITTED:g} mol/m^3"
+            )
 
     def _steps(self, concentration: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
         """log10 i and its derivative by C (m^3/mol), C held to the range of the law."""

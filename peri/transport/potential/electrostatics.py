@@ -60,7 +60,8 @@ class Patches:
 
     electrode (n,): which one.  node (n, d): index of the metal node.  normal (n, d): from metal to
     liquid.  area (n,): m^2 (m in 2D, 1 in 1D).  distance (n,): z of the head of this file, m.
-    shares (n, padded nodes): a, rows sum to 1.
+    shares (n, padded nodes): a, rows sum to 1.  drawn (n, nodes of the lattice): where behind the
+    patch its current comes from, rows sum to 1; a node stands behind one patch, the nearest.
     """
 
     electrode: np.ndarray
@@ -69,6 +70,7 @@ class Patches:
     area: np.ndarray
     distance: np.ndarray
     shares: sparse.csr_matrix
+    drawn: sparse.csr_matrix
 
 
 @dataclass(frozen=True)
@@ -144,6 +146,14 @@ def surface_patches(
         ).tocsr()
         keep = carrying > 0
         scale = sparse.diags(1.0 / carrying[keep])
+        # Faradaic bonds carry their current in proportion to 1/|xi| (Zhao et al. 2021, Eq. 16).
+        here = weights[bond] * np.linalg.norm(bonds, axis=1)[bond] * (along > 0)
+        place = np.ravel_multi_index(tuple(behind.T), liquid.shape)
+        drawn = sparse.coo_matrix(
+            (np.bincount(node, here, len(behind)), (nearest, place)), (len(exposed), liquid.size)
+        ).tocsr()[keep]
+        drawn.eliminate_zeros()
+        whole = np.asarray(drawn.sum(axis=1)).ravel()
         # Area of a plane of that normal per exposed face: 1 / sum_a |n_a| / (area of a face).
         facing = (np.abs(normal) * spacing / volume).sum(axis=1)
         raw = raw_area[tuple(exposed.T)]
@@ -157,11 +167,12 @@ def surface_patches(
                 area[keep],
                 0.5 * reach[keep] / carrying[keep],
                 scale @ entries[keep],
+                sparse.diags(1.0 / whole) @ drawn,
             )
         )
     if not parts:
         raise ValueError("electrodes: none of them touches the liquid")
-    electrode, node_of, directions, areas, distances, shares = zip(*parts, strict=True)
+    electrode, node_of, directions, areas, distances, shares, behind_it = zip(*parts, strict=True)
     return Patches(
         np.concatenate(electrode),
         np.concatenate(node_of),
@@ -169,6 +180,7 @@ def surface_patches(
         np.concatenate(areas),
         np.concatenate(distances),
         sparse.csr_matrix(sparse.vstack(shares)),
+        sparse.csr_matrix(sparse.vstack(behind_it)),
     )
 
 
@@ -288,11 +300,15 @@ class PotentialProblem:
         self._shares = self.patches.shares[:, self._columns].tocsr()
         self._free = self.unknown.ravel()[self._columns] > 0
         local = np.where(np.isfinite(kappa) & (kappa > 0), kappa, 1.0)
-        at_patch = self._shares @ pad(local).ravel()[self._columns]
-        self._resistance = self.patches.distance / at_patch
+        self._at_patch = self._shares @ pad(local).ravel()[self._columns]
+        self.recede(np.zeros(len(self.patches.area)))
         self._voltage = np.array([e.potential for e in self.electrodes])[self.patches.electrode]
         self._row_sums = operator.row_sums()
         self._weight = self.volume * operator.diagonal()
+
+    def recede(self, depth: np.ndarray) -> None:
+        """Put the surface of each patch deeper, (n,) in m: what its metal has lost already."""
+        self._resistance = (self.patches.distance + depth) / self._at_patch
 
     def _see(self, u: np.ndarray) -> np.ndarray:
         """u_s = sum_j a_sj u_j of every patch."""

@@ -52,6 +52,12 @@ def test_refuses_numbers_out_of_range(name):
         AcidityLaw(**{"saturation_concentration": 1.0, name: 0.0})
 
 
+def test_refuses_saturation_beyond_the_fit():
+    """At 1e5 mol/m^3 the current would be 1e122 A/m^2."""
+    with pytest.raises(ValueError, match=r"saturation_concentration: 5700.0 mol/m\^3; .* 5600"):
+        AcidityLaw(5700.0)
+
+
 def test_a_front_marches_by_the_concentration_up_to_saturation():
     """A flat front of 150 um in a closed column, with the printed current and 300 times of it."""
     lattice = Lattice((0.0,), (5e-6,), (60,))

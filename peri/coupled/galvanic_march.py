@@ -1,0 +1,315 @@
+"""The march of a galvanic couple: solve the potential, dissolve what its currents carry, repeat.
+
+With the metals as they are, the liquid's potential and the current of every patch follow
+(transport.potential.electrostatics).  A patch of a metal that dissolves draws
+
+    dC_i/dt = -s_i I / (z F dV),   I its current, sum_i s_i = 1,
+
+from the nodes behind it, along the bonds that carry the current (Zhao et al. 2021, Eqs 16 to 20,
+with a sign; the sum over the actual family instead of its flat-front value).  A node that is empty
+is liquid.  So the metal loses what the current carries, to round-off, and a flat front travels at
+i / (z F C_solid).
+
+The surface that the potential sees lies deeper than the exposed nodes by what the patch has lost
+already, sum_i (1 - C_i / C_solid) dV / A, so that the potential of a flat front changes steadily
+and not by steps of the lattice.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from peri.coupled.galvanic_scene import GalvanicScene
+from peri.coupled.patch_queues import drain, spill
+from peri.engine.constants import FARADAY
+from peri.engine.march.checkpoints import fingerprint
+from peri.engine.march.problem import Course, Fields, Problem, State
+from peri.engine.march.stepping import step_towards, time_after
+from peri.transport.potential.electrostatics import Electrode, PotentialField, PotentialProblem
+
+_JUMP = 0.2
+"""Change of a current in a step that still counts as a trend, relative."""
+
+
+class GalvanicProblem(Problem):
+    """A galvanic scene, ready to be marched.
+
+    Fields of its states: `concentration` (mol/m^3, of the lattice's shape), `lead` (bool: metal
+    that is not cut off), `potential` (of the liquid, V), `density` and `surface` (A/m^2 and V of
+    each patch).  Numbers: `charge` (C, of the
+    metals that dissolve), `moles` (it over z F), `initial` and `current0`, `current1`, ... (A) of
+    the metals.
+    """
+
+    def __init__(self, scene: GalvanicScene, tolerance: float = 1e-9) -> None:
+        self.scene, self.tolerance = scene, tolerance
+        self.solid = scene.solid_concentrations()
+        self._label = scene.phases()
+        self._grows = self.solid > 0
+        self._place = np.stack([x.ravel() for x in np.broadcast_arrays(
+            *scene.lattice.coordinates())], axis=1)  # fmt: skip
+        zs = [metal.charge_number or np.inf for metal in scene.metals]
+        self._charge = FARADAY * np.array(zs)  # C/mol
+        self._dissolves = np.array([m.solid_concentration is not None for m in scene.metals])
+        self._problem: tuple[bytes, PotentialProblem | None] = (b"", None)
+        self.columns = {
+            "charge": "C",
+            "metal_amount": "mol",
+            "faraday_error": "1",
+            "imbalance": "1",
+            "dissolved_nodes": "1",
+            "newton": "1",
+            **{f"current_{metal.name}": "A" for metal in scene.metals},
+        }
+
+    def key(self) -> str:
+        """Hash of the scene and the solver's tolerance."""
+        return fingerprint(self.scene, self.tolerance)
+
+    # --- the potential --------------------------------------------------------------------
+
+    def metal(self, concentration: np.ndarray) -> np.ndarray:
+        """Nodes that are metal: those that do not dissolve, and those that are not empty."""
+        return (self._label > 0) & (~self._grows | (concentration > 0))
+
+    def still_led(self, lead: np.ndarray) -> np.ndarray:
+        """Of each part that a metal had at the start, the largest piece of what had its lead."""
+        every_way = np.ones((3,) * lead.ndim, bool)
+        out = np.zeros(lead.shape, bool)
+        for number in range(1, len(self.scene.metals) + 1):
+            parts, count = ndimage.label(self._label == number, every_way)
+            left, pieces = ndimage.label((self._label == number) & lead, every_way)
+            for part in range(1, count + 1):
+                sizes = np.bincount(left[parts == part], minlength=pieces + 1)
+                sizes[0] = 0
+                if sizes.any():
+                    out |= left == sizes.argmax()
+        return out
+
+    def _potential_problem(self, fields: Fields) -> PotentialProblem | None:
+        """Of the present phases; None where no metal that has its lead touches the liquid."""
+        metal, lead = self.metal(fields["concentration"]), fields["lead"]
+        mark = np.packbits(metal).tobytes() + np.packbits(lead).tobytes()
+        if mark != self._problem[0]:
+            scene, problem = self.scene, None
+            if (ndimage.binary_dilation(~metal) & lead).any():
+                electrodes = [
+                    Electrode(lead & (self._label == number), solid.law, solid.potential)
+                    for number, solid in enumerate(scene.metals, 1)
+                ]
+                problem = PotentialProblem(
+                    scene.lattice, scene.stencil, ~metal, electrodes, scene.conductivity,
+                    held=scene.held,
+                )  # fmt: skip
+            self._problem = mark, problem
+        return self._problem[1]
+
+    def recession(self, problem: PotentialProblem, concentration: np.ndarray) -> np.ndarray:
+        """How far behind its exposed face the mass of each patch's metal begins, m."""
+        share = np.where(self._grows, 1.0 - concentration / np.where(self._grows, self.solid, 1), 0)
+        behind = (problem.patches.drawn > 0) @ share.ravel()
+        return behind * self.scene.lattice.cell_volume / problem.patches.area
+
+    def solve(self, fields: Fields, guess: np.ndarray | None) -> PotentialField:
+        """Potential and currents of a state's metal; guess: phi of the time before, V."""
+        problem = self._potential_problem(fields)
+        if problem is None:
+            raise ValueError("metals: none of them touches the liquid")
+        problem.recede(self.recession(problem, fields["concentration"]))
+        return problem.solve(guess=guess, tolerance=self.tolerance)
+
+    def _with_potential(self, state: State) -> tuple[State, int]:
+        """A state with the potential of its metal, and the linear iterations that took."""
+        if self._ended(state.fields):
+            return self._at_rest(state), 0
+        guess = state.fields.get("potential")
+        if guess is not None:
+            # Nodes that are liquid since then start from the nearest that were before.
+            known = np.isfinite(guess)
+            near = ndimage.distance_transform_edt(~known, return_indices=True)[1]
+            guess = guess[tuple(near)] if known.any() else None
+        found = self.solve(state.fields, guess)
+        state.fields |= {
+            "potential": found.potential,
+            "density": found.density,
+            "surface": found.surface,
+        }
+        state.numbers |= {"imbalance": found.imbalance, "newton": float(found.newton)}
+        for n in range(len(self.scene.metals)):
+            state.numbers[f"current{n}"] = found.current(n)
+        return state, found.iterations
+
+    def _ended(self, fields: Fields) -> bool:
+        """Whether no more than one of several metals has anything left: a couple no more."""
+        left = [(fields["lead"] & metal.nodes).any() for metal in self.scene.metals]
+        alone = sum(left) <= 1 < len(left) and self.scene.held is None
+        return alone or self._potential_problem(fields) is None
+
+    def _at_rest(self, state: State) -> State:
+        problem = self._potential_problem(state.fields)
+        nothing = np.zeros(0 if problem is None else len(problem.patches.area))
+        phi = np.full(self.scene.lattice.shape, np.nan)
+        state.fields |= {"potential": phi, "density": nothing, "surface": nothing * np.nan}
+        state.numbers |= {"imbalance": 0.0, "newton": 0.0}
+        state.numbers |= {f"current{n}": 0.0 for n in range(len(self.scene.metals))}
+        return state
+
+    # --- states ---------------------------------------------------------------------------
+
+    def initial(self) -> State:
+        """All metal there, and the potential of that."""
+        amount = float(self.solid.sum()) * self.scene.lattice.cell_volume
+        numbers = {"charge": 0.0, "moles": 0.0, "initial": amount, "dissolved": 0.0}
+        return self._with_potential(State(0.0, self.untouched(), numbers))[0]
+
+    def untouched(self) -> Fields:
+        """All metal there, all of it with its lead."""
+        metal = self._label > 0
+        return {"concentration": self.solid.copy(), "lead": self.still_led(metal)}
+
+    def rates(self, state: State) -> tuple[np.ndarray, np.ndarray]:
+        """What each patch dissolves, mol/s, and how fast its surface recedes, m/s."""
+        problem = self._potential_problem(state.fields)
+        if problem is None:
+            return np.zeros(0), np.zeros(0)
+        patches, density = problem.patches, state.fields["density"]
+        goes = np.where(self._dissolves[patches.electrode], np.maximum(density, 0.0), 0.0)
+        flux = goes / self._charge[patches.electrode]
+        solids = np.array([m.solid_concentration or np.inf for m in self.scene.metals])
+        return flux * patches.area, flux / solids[patches.electrode]
+
+    def trend(self, course: Course, step: float) -> np.ndarray:
+        """Mean current of each metal in the coming step over that at its beginning.
+
+        The total current goes on to change as in the step before, which makes the charge second
+        order in time; a change above _JUMP is an event and no trend.
+        """
+        out = np.ones(len(self.scene.metals))
+        for n in range(len(out)):
+            now, before = (s.numbers[f"current{n}"] for s in (course.state, course.previous))
+            change = now - before
+            if course.previous_step and 0 < abs(change) <= _JUMP * abs(now):
+                out[n] += 0.5 * step / course.previous_step * change / now
+        return out
+
+    def moved(self, state: State, step: float, time: float, trend: np.ndarray) -> tuple[State, int]:
+        """The state after a step with the currents of its beginning times `trend` of the metals.
+
+        Returns the linear iterations, too.
+        """
+        rate, _ = self.rates(state)
+        concentration = state.fields["concentration"]
+        numbers, moved = dict(state.numbers), concentration
+        if rate.any():
+            problem = self._potential_problem(state.fields)
+            assert problem is not None
+            of = problem.patches.electrode
+            moved, delivered = self._drawn(problem, concentration, step * rate * trend[of])
+            numbers["moles"] += float(delivered.sum())
+            charge = np.where(self._dissolves, self._charge, 0.0)[of]
+            numbers["charge"] += float((delivered * charge).sum())
+        gone = self.metal(concentration) & ~self.metal(moved)
+        numbers["dissolved"] = float(gone.sum())
+        fields = {**state.fields, "concentration": moved}
+        if gone.any():
+            fields["lead"] = self.still_led(state.fields["lead"] & ~gone)
+        new = State(time, fields, numbers)
+        return self._with_potential(new)
+
+    def _drawn(
+        self, problem: PotentialProblem, concentration: np.ndarray, amount: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Concentrations after the patches drew amounts (mol), and what of these they got."""
+        volume, patches = self.scene.lattice.cell_volume, problem.patches
+        left, unmet = drain(concentration.ravel(), patches.drawn, amount / volume)
+        if (unmet > 0).any():
+            nodes = np.ravel_multi_index(tuple(patches.node.T), concentration.shape)
+            for number, electrode in enumerate(problem.electrodes):
+                of = (patches.electrode == number) & (unmet > 0)
+                if of.any():
+                    unmet[of] = spill(
+                        left, self._place, self._place[nodes[of]], unmet[of],
+                        np.flatnonzero(electrode.metal),
+                    )  # fmt: skip
+        return left.reshape(concentration.shape), amount - volume * unmet
+
+    # --- what is written ------------------------------------------------------------------
+
+    def row(self, state: State) -> tuple[float, ...]:
+        """Charge, metal, what Faraday's law leaves open, and the currents."""
+        numbers = state.numbers
+        amount = float(state.fields["concentration"].sum()) * self.scene.lattice.cell_volume
+        whole = max(numbers["initial"], 1e-300)
+        return (
+            numbers["charge"],
+            amount,
+            (numbers["initial"] - amount - numbers["moles"]) / whole,
+            numbers["imbalance"],
+            numbers["dissolved"],
+            numbers["newton"],
+            *(numbers[f"current{n}"] for n in range(len(self.scene.metals))),
+        )
+
+    def snapshot(self, state: State) -> dict[str, np.ndarray | float]:
+        """Concentration, metal, potential, current density and electrode potential on the lattice.
+
+        The last two belong to the metal nodes at the surface; NaN elsewhere.
+        """
+        concentration = state.fields["concentration"]
+        density, surface = np.full((2, *concentration.shape), np.nan)
+        problem = self._potential_problem(state.fields)
+        if problem is not None:
+            nodes = tuple(problem.patches.node.T)
+            density[nodes], surface[nodes] = state.fields["density"], state.fields["surface"]
+        return {
+            "concentration": concentration.copy(),
+            "metal": self.metal(concentration),
+            "potential": state.fields["potential"].copy(),
+            "current_density": density,
+            "electrode_potential": surface,
+        }
+
+    def describe(self, state: State) -> str:
+        """Time, and the largest current."""
+        largest = max(abs(state.numbers[f"current{n}"]) for n in range(len(self.scene.metals)))
+        return f"{state.time:.4g} s, {largest:.4g} A"
+
+
+@dataclass(frozen=True)
+class Renewal:
+    """Steps with the patches' currents of their beginning; the potential is renewed after each.
+
+    travel : how far the fastest patch may recede in a step, in spacings, 0 to 1.
+    longest : of a step, s, beside that.
+    """
+
+    travel: float = 0.1
+    longest: float = float("inf")
+
+    def __post_init__(self) -> None:
+        if not 0 < self.travel <= 1:
+            raise ValueError(f"travel: {self.travel}; it must be above 0 and at most 1 spacing")
+        if not self.longest > 0:
+            raise ValueError(f"longest: {self.longest} s; it must be positive")
+
+    def choose_first_step(self, problem: GalvanicProblem, state: State, end: float) -> float:
+        """The first step, s."""
+        return self._step(problem, state, end)
+
+    def _step(self, problem: GalvanicProblem, state: State, end: float) -> float:
+        speed = float(problem.rates(state)[1].max(initial=0.0))
+        spacing = min(problem.scene.lattice.spacing)
+        step = min(self.longest, self.travel * spacing / speed if speed > 0 else np.inf)
+        return step if np.isfinite(step) else max(end, 1e-300)
+
+    def advance(self, problem: GalvanicProblem, course: Course, target: float) -> None:
+        """Take one step towards `target` (s), in place."""
+        state = course.state
+        course.step = self._step(problem, state, target)
+        step = step_towards(state.time, target, course.step)
+        time, trend = time_after(state.time, step, target), problem.trend(course, step)
+        new, iterations = problem.moved(state, step, time, trend)
+        course.move(new, step, iterations)

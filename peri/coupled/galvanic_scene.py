@@ -1,0 +1,146 @@
+"""A galvanic couple: metals joined by a wire, or touching, in a liquid that conducts."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from peri.engine.influence import Stencil, diffusion_stencil
+from peri.engine.lattice import Lattice
+from peri.transport.potential.polarization import Polarization
+
+
+@dataclass(frozen=True)
+class Metal:
+    """One metal of a couple.
+
+    Parameters
+    ----------
+    name : str
+    nodes : bool array of the lattice's shape
+    law : Polarization
+        i(E), such as those of corrosion.polarization.
+    solid_concentration : float, optional
+        mol/m^3 of what dissolves; without it the metal carries current but stays as it is.
+    charge_number : float, optional
+        z of its ion; a metal that dissolves needs one.
+    potential : float
+        Of the metal, V: metals of equal potential are joined by a wire, others by a source.
+
+    Raises
+    ------
+    ValueError
+        For numbers out of range, or a metal that dissolves without a charge number.
+    """
+
+    name: str
+    nodes: np.ndarray = field(repr=False)
+    law: Polarization
+    solid_concentration: float | None = None
+    charge_number: float | None = None
+    potential: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.solid_concentration is not None:
+            if self.charge_number is None:
+                raise ValueError(
+                    f"charge_number: none is given for '{self.name}'; a metal that dissolves "
+                    "needs the charge of its ion"
+                )
+            for name in ("solid_concentration", "charge_number"):
+                value = getattr(self, name)
+                if not (math.isfinite(value) and value > 0):
+                    raise ValueError(
+                        f"{name}: {value} of '{self.name}'; it must be finite and positive"
+                    )
+        if not math.isfinite(self.potential):
+            raise ValueError(f"potential: {self.potential} V of '{self.name}'; it must be finite")
+
+
+@dataclass(frozen=True)
+class GalvanicScene:
+    """Metals in a conducting liquid on a lattice.
+
+    Every metal has its lead: the largest part of what is left of it carries current, smaller
+    islands do not.  All that is no metal is liquid; the edges of the lattice insulate.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    horizon : float or one per axis
+        m.
+    metals : tuple of Metal
+    conductivity : float
+        kappa of the liquid, S/m, > 0.
+    held : float array of the lattice's shape, optional
+        phi of liquid nodes that are held, V; NaN elsewhere.
+    calibration : see influence.diffusion_stencil.
+
+    Raises
+    ------
+    ValueError
+        One sentence naming field, value and what is allowed.
+    """
+
+    lattice: Lattice
+    horizon: float | tuple[float, ...]
+    metals: tuple[Metal, ...]
+    conductivity: float
+    held: np.ndarray | None = field(default=None, repr=False)
+    calibration: str = "discrete"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "metals", tuple(self.metals))
+        names = [metal.name for metal in self.metals]
+        if not names or len(set(names)) < len(names):
+            raise ValueError(f"metals: {', '.join(names) or 'none'}; each needs its own name")
+        if not (math.isfinite(self.conductivity) and self.conductivity > 0):
+            raise ValueError(
+                f"conductivity: {self.conductivity} S/m; it must be finite and positive"
+            )
+        taken = np.zeros(self.lattice.shape, np.int64)
+        for metal in self.metals:
+            if metal.nodes.shape != self.lattice.shape or metal.nodes.dtype != bool:
+                raise ValueError(
+                    f"metals: '{metal.name}' is {metal.nodes.dtype} of {metal.nodes.shape}; bool "
+                    f"of {self.lattice.shape} wanted"
+                )
+            if not metal.nodes.any():
+                raise ValueError(f"metals: '{metal.name}' has no node on this lattice")
+            taken += metal.nodes
+        if (taken > 1).any():
+            raise ValueError(
+                f"metals: {int((taken > 1).sum())} nodes belong to two of {', '.join(names)}"
+            )
+        if self.held is not None and self.held.shape != self.lattice.shape:
+            raise ValueError(f"held: {self.held.shape}; the lattice has {self.lattice.shape}")
+        object.__setattr__(
+            self,
+            "_stencil",
+            diffusion_stencil(self.lattice, self.horizon, calibration=self.calibration),
+        )
+
+    @property
+    def stencil(self) -> Stencil:
+        """Bond weights of unit conductivity."""
+        return self._stencil
+
+    def metal(self) -> np.ndarray:
+        """Nodes that are metal at the start, bool."""
+        return np.any([metal.nodes for metal in self.metals], axis=0)
+
+    def phases(self) -> np.ndarray:
+        """Number of each node's metal, from 1; 0 in the liquid; uint8."""
+        out = np.zeros(self.lattice.shape, np.uint8)
+        for number, metal in enumerate(self.metals, 1):
+            out[metal.nodes] = number
+        return out
+
+    def solid_concentrations(self) -> np.ndarray:
+        """C_solid of each node of a metal that dissolves, mol/m^3; 0 elsewhere."""
+        out = np.zeros(self.lattice.shape)
+        for metal in self.metals:
+            out[metal.nodes] = metal.solid_concentration or 0.0
+        return out
