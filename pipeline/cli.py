@@ -18,7 +18,7 @@ from pipeline.calibration.command import add_calibrate_options
 from pipeline.campaigns.options import add_campaign_options, add_design_options
 from pipeline.export.command import add_export_options
 from pipeline.record import interruption
-from pipeline.record.machine import find_place_for_compiled_code
+from pipeline.record.machine import prepare_libraries
 from pipeline.record.options import add_folder_options, add_machine_options
 from pipeline.record.summary import print_summary
 from pipeline.run import add_run_options, fitting_scene
@@ -95,9 +95,7 @@ def build_parser() -> argparse.ArgumentParser:
 def main(arguments: list[str] | None = None) -> int:
     """Run `perilife` with the given arguments and return its exit code."""
     interruption.listen()
-    # Threads that wait must not spin: on a busy machine that costs hundreds of times the work.
-    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
-    find_place_for_compiled_code()
+    prepare_libraries()
     options = argparse.Namespace(out=None)
     try:
         options = build_parser().parse_args(arguments)

@@ -24,11 +24,16 @@ def add_run_options(parser: argparse.ArgumentParser) -> None:
     add_sample_options(parser)
 
 
-def fitting_scene(options: argparse.Namespace) -> tuple[Scene, object]:
-    """The scene of the options, and its solid where that had to be built to choose the spacing."""
+def scene_of(options: argparse.Namespace) -> Scene:
+    """The scene as the options say it, a spacing of `auto` not yet chosen."""
     from pipeline.scene.options import scene_from_options
 
-    scene = scene_from_options(options)
+    return scene_from_options(options)
+
+
+def fitting_scene(options: argparse.Namespace) -> tuple[Scene, object]:
+    """The scene of the options, and its solid where that had to be built to choose the spacing."""
+    scene = scene_of(options)
     if options.spacing != "auto":
         return scene, None
     from pipeline.stages.sizes import with_fitting_spacing

@@ -120,6 +120,7 @@ BELOW = {
             "export",
         },
         "run": {"scene", "record", "stages", "life_cycle", "campaigns"},
+        "api": {"scene", "record", "stages", "report", "export", "run"},
         "cli": {
             "scene",
             "record",

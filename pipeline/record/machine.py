@@ -36,6 +36,16 @@ def processor_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def prepare_libraries() -> None:
+    """Tell the libraries that compute what they ask the environment for; before they are imported.
+
+    What the person has set stays as it is.
+    """
+    # Threads that wait must not spin: on a busy machine that costs hundreds of times the work.
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    find_place_for_compiled_code()
+
+
 def find_place_for_compiled_code(sources: Path = Path(__file__).parent) -> None:
     """Tell Numba (NUMBA_CACHE_DIR) a folder of this user where it would find none and give up.
 

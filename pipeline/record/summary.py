@@ -3,8 +3,10 @@
 import csv
 import io
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TextIO
 
 from pipeline.record.run_folder import write_text
 from pipeline.scene.loads import LOADS
@@ -78,14 +80,10 @@ def read_summary(path: Path) -> list[SummaryRow]:
         ]
 
 
-def print_summary(rows: list[SummaryRow]) -> None:
-    """Print the rows, all of one load, for a reader."""
-    from rich.console import Console
-    from rich.table import Table
-
+def shown(rows: Sequence[SummaryRow]) -> tuple[list[str], list[list[str]]]:
+    """Titles and cells of the rows, all of one load, for a reader."""
     names = LOADS[rows[0].load]
-    table = Table(title=f"Residual {names.strength}")
-    for column in (
+    titles = [
         "alloy",
         "hold",
         "immersion [d]",
@@ -95,12 +93,9 @@ def print_summary(rows: list[SummaryRow]) -> None:
         "strength ratio",
         f"{names.strain_title.lower()} at peak",
         "status",
-    ):
-        table.add_column(
-            column, justify="left" if column in ("alloy", "hold", "status") else "right"
-        )
-    for row in rows:
-        table.add_row(
+    ]
+    return titles, [
+        [
             row.alloy,
             row.hold,
             f"{row.immersion_days:g}",
@@ -110,9 +105,24 @@ def print_summary(rows: list[SummaryRow]) -> None:
             f"{row.strength_ratio:.3f}",
             f"{row.strain_at_peak:.4f}",
             row.status,
-        )
-    console = Console(width=None if sys.stdout.isatty() else 120)
-    console.print(table)
+        ]
+        for row in rows
+    ]
+
+
+def print_summary(rows: Sequence[SummaryRow], stream: TextIO | None = None) -> None:
+    """Print the rows, all of one load, for a reader; on stdout where no stream is given."""
+    from rich.console import Console
+    from rich.table import Table
+
+    stream = stream or sys.stdout
+    table = Table(title=f"Residual {LOADS[rows[0].load].strength}")
+    titles, cells = shown(rows)
+    for title in titles:
+        table.add_column(title, justify="left" if title in ("alloy", "hold", "status") else "right")
+    for row in cells:
+        table.add_row(*row)
+    Console(file=stream, width=None if stream.isatty() else 120).print(table)
 
 
 def _cell(field: str, text: str) -> str | float | None:

@@ -69,6 +69,51 @@ def run(tmp_path_factory) -> tuple[Path, str, str]:
     return out, *_finish(_start(out))
 
 
+KEYWORDS = {
+    "thread": "none",
+    "spacing": 250e-6,
+    "horizon": "0.25 mm",
+    "mesh_size": 6e-4,
+    "element": "P1",
+    "radial_margin": "500um",
+    "axial_margin": 0.0005,
+    "final_strain": 0.05,
+}
+"""OPTIONS as a person may give them in Python, alloys and times apart."""
+
+
+def test_python_goes_on_where_the_command_stopped_and_finds_nothing_to_do(run):
+    from pipeline import LifeCycle
+
+    before = {path: path.read_bytes() for path in run[0].rglob("*.stage.json")}
+    table = (run[0] / "summary.csv").read_bytes()
+    result = LifeCycle(list(ALLOYS), LABELS, **KEYWORDS, out=run[0], resume=True).run()
+    assert (run[0] / "summary.csv").read_bytes() == table
+    assert before == {path: path.read_bytes() for path in run[0].rglob("*.stage.json")}
+    one = result.only("Mg-5Gd")
+    curve, damage = one.curve("56d"), one.damage("8w")
+    assert one.peak_force == pytest.approx(curve["force_N"].max(), rel=1e-9)
+    assert one.strength_left < 1 and np.all(np.diff(curve["elongation"]) > 0)
+    assert damage.shape == (len(one.state("8w").cells),) and 0 < damage.mean() < 0.5
+    assert one.damage("0w").max() == 0
+
+
+@pytest.mark.slow
+def test_python_and_the_command_give_the_same_table_byte_for_byte(run, tmp_path, monkeypatch):
+    from pipeline import LifeCycle
+
+    monkeypatch.chdir(tmp_path)
+    result = LifeCycle(list(ALLOYS), LABELS, **KEYWORDS).run()
+    assert result.folder.parent == Path("runs")
+    assert (result.folder / "summary.csv").read_bytes() == (run[0] / "summary.csv").read_bytes()
+    # asked for again, it is read
+    records = {path: path.stat().st_mtime_ns for path in result.folder.rglob("pull.stage.json")}
+    assert len(records) == 4
+    LifeCycle(list(ALLOYS), LABELS, **KEYWORDS).run()
+    again = {path: path.stat().st_mtime_ns for path in result.folder.rglob("pull.stage.json")}
+    assert again == records
+
+
 def test_the_table_has_a_row_per_alloy_and_time_and_sound_numbers(run):
     rows = read_summary(run[0] / "summary.csv")
     assert [(row.alloy, row.immersion_days) for row in rows] == [
