@@ -16,6 +16,7 @@ from pathlib import Path
 
 from pipeline.calibration.command import add_calibrate_options
 from pipeline.campaigns.options import add_campaign_options, add_design_options
+from pipeline.compare.command import add_compare_options
 from pipeline.export.command import add_export_options
 from pipeline.record import interruption
 from pipeline.record.machine import prepare_libraries
@@ -67,6 +68,8 @@ def build_parser() -> argparse.ArgumentParser:
     add_folder_options(add("report", _report, "summary.csv and report.html of a run folder"))
     export = add("export", _export, "a corroded solid of a run folder for another program")
     add_export_options(export)
+    compare = add("compare", _compare, "several run folders over each other in one page")
+    add_compare_options(compare)
     plan = add("plan", _plan, "what a run would compute, what not and why, time and memory")
     add_scene_options(plan)
     add_machine_options(plan)
@@ -238,6 +241,13 @@ def _export(options: argparse.Namespace) -> int:
     from pipeline.export.command import run_export
 
     run_export(options, print)
+    return 0
+
+
+def _compare(options: argparse.Namespace) -> int:
+    from pipeline.compare.command import run_compare
+
+    run_compare(options, print)
     return 0
 
 

@@ -106,6 +106,7 @@ BELOW = {
         "studies": {"scene", "geometry", "record", "stages", "calibration"},
         "calibration": {"scene", "geometry", "record", "stages"},
         "export": {"scene", "geometry", "record", "stages"},
+        "compare": {"scene", "record", "report"},
         "life_cycle": {"scene", "geometry", "record", "stages", "report"},
         "campaigns": {"scene", "geometry", "record", "stages", "calibration", "life_cycle"},
         "benches": {
@@ -118,6 +119,7 @@ BELOW = {
             "life_cycle",
             "campaigns",
             "export",
+            "compare",
         },
         "run": {"scene", "record", "stages", "life_cycle", "campaigns"},
         "api": {"scene", "record", "stages", "report", "export", "run"},
@@ -132,6 +134,7 @@ BELOW = {
             "benches",
             "export",
             "run",
+            "compare",
         },
     },
 }

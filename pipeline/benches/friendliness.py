@@ -6,14 +6,28 @@ them all, one after the other.
 
 from __future__ import annotations
 
+import json
 import shutil
 import subprocess
+import sys
 import tempfile
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.benches.result import Result
+from pipeline.scene.scene import DomainSettings, ScrewGeometry
+from pipeline.scene.screw import ScrewParameters
+
+COARSE_PIN = {
+    "geometry": ScrewGeometry(ScrewParameters(thread="none")),
+    "spacing": 250e-6,
+    "horizon": 250e-6,
+    "domain": DomainSettings(radial_margin=0.5e-3, axial_margin=0.5e-3),
+    "mesh_size": 0.6e-3,
+}
+"""A scene of seconds."""
 
 
 @dataclass(frozen=True)
@@ -41,18 +55,8 @@ def exported_screw() -> list[Result]:
 
 def small_exported_screw() -> list[Result]:
     """The same of a plain pin on a coarse mesh, to 2 % elongation."""
-    from pipeline.scene.scene import DomainSettings, ScrewGeometry
-    from pipeline.scene.screw import ScrewParameters
-
     return _peak_beside_calculix(
-        {
-            "geometry": ScrewGeometry(ScrewParameters(thread="none")),
-            "spacing": 250e-6,
-            "horizon": 250e-6,
-            "domain": DomainSettings(radial_margin=0.5e-3, axial_margin=0.5e-3),
-            "mesh_size": 0.6e-3,
-            "tensile": {"final_strain": 0.02, "increment": 0.01},
-        }
+        {**COARSE_PIN, "tensile": {"final_strain": 0.02, "increment": 0.01}}
     )
 
 
@@ -80,7 +84,47 @@ def _peak_beside_calculix(changes: dict) -> list[Result]:
                    "-1 to 1")]  # fmt: skip
 
 
+def compared_runs() -> list[Result]:
+    """`perilife compare` of ten runs of two alloys after six times, its start included."""
+    return _seconds_to_compare(10, ["Mg-5Gd", "Mg-10Gd"], ["0w", "1w", "2w", "4w", "8w", "24w"])
+
+
+def small_compared_runs() -> list[Result]:
+    """The same of three runs of one alloy after two times."""
+    return _seconds_to_compare(3, ["Mg-5Gd"], ["0w", "8w"])
+
+
+def _seconds_to_compare(count: int, alloys: list[str], immersion: list[str]) -> list[Result]:
+    """Compares one coarse run with copies of itself whose scenes say another rate change."""
+    from pipeline.life_cycle import run_life_cycle
+    from pipeline.scene.resolve import resolve_scene
+
+    with tempfile.TemporaryDirectory(prefix="perilife-bench-") as place:
+        runs = [Path(place) / f"run-{n}" for n in range(count)]
+        run_life_cycle(resolve_scene(alloys, immersion, "quick", **COARSE_PIN), runs[0])
+        for n, run in enumerate(runs[1:], start=1):
+            shutil.copytree(runs[0], run)
+            scene = json.loads((run / "scene.json").read_text())
+            scene["corrosion"]["rate_change"] -= 0.01 * n
+            (run / "scene.json").write_text(json.dumps(scene))
+        page = Path(place) / "page.html"
+        begin = time.perf_counter()
+        subprocess.run(
+            [sys.executable, "-m", "pipeline.cli", "compare", *map(str, runs), "--out", str(page)],
+            check=True,
+            capture_output=True,
+        )
+        seconds = time.perf_counter() - begin
+        size = page.stat().st_size / 1e6
+    what = f"compare {count} runs of {len(alloys)} alloys after {len(immersion)} times"
+    return [
+        Result(what, seconds, "s", "<= 5" if count == 10 else None),
+        Result(f"{what}: its page", size, "MB", None),
+    ]
+
+
 ROWS: dict[str, Row] = {
     "exported-screw": Row(exported_screw, small_exported_screw),
+    "compared-runs": Row(compared_runs, small_compared_runs),
 }
 """What `perilife bench friendliness` measures."""

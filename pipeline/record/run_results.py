@@ -101,8 +101,10 @@ class RunResults:
     held: dict[str, tuple[AlloyResult, ...]] = field(default_factory=dict)
 
 
-def read_run(path: Path | str) -> RunResults:
+def read_run(path: Path | str, fields: bool = True) -> RunResults:
     """Read the run folder at `path`.
+
+    fields: mesh and damage, too, which only pictures need; without, they are not called missing.
 
     Raises FileNotFoundError where the folder or its scene.json is not there, and ValueError
     where the scene cannot be read; all else that is absent is listed in `missing`.
@@ -112,11 +114,14 @@ def read_run(path: Path | str) -> RunResults:
         raise FileNotFoundError(f"run folder '{path}' holds no scene.json; it must be one of a run")
     scene, extras = _read_scene(folder.scene_file)
     missing: list[str] = []
-    points, cells = _read_mesh(folder.geometry / "mesh.h5", missing)
+    points, cells = None, None
+    if fields:
+        points, cells = _read_mesh(folder.geometry / "mesh.h5", missing)
     summary = _read_summary(folder.summary_file, missing)
     held = {
         hold.name: tuple(
-            _read_alloy(folder, scene, alloy.name, hold, summary, missing) for alloy in scene.alloys
+            _read_alloy(folder, scene, alloy.name, hold, summary, missing, fields)
+            for alloy in scene.alloys
         )
         for hold in scene.holds
     }
@@ -170,6 +175,7 @@ def _read_alloy(
     hold: HoldScene,
     summary: list[SummaryRow],
     missing: list[str],
+    fields: bool,
 ) -> AlloyResult:
     names = LOADS[hold.tensile.load]
     held = f" ({hold.name})" if len(scene.holds) > 1 else ""
@@ -180,8 +186,8 @@ def _read_alloy(
     for time in scene.with_intact():
         place = folder.test(name, time.label, hold.name)
         curve = _read_columns(place / "tensile.csv")
-        damage = _read_damage(place / "damage.h5")
-        if damage is None:
+        damage = _read_damage(place / "damage.h5") if fields else None
+        if fields and damage is None:
             missing.append(f"the damage map of {name}{held} after {time.label}")
         if column(curve, names.abscissa) is None or column(curve, names.reaction) is None:
             missing.append(f"the {names.test} of {name}{held} after {time.label}")

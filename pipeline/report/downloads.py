@@ -28,7 +28,7 @@ def downloads(run: RunResults) -> list[Download]:
     summary = RunFolder(run.folder).summary_file
     if summary.is_file():
         content = summary.read_text(encoding="utf-8")
-        found.append(_download("summary.csv", "the results, a row each test", content))
+        found.append(download("summary.csv", "the results, a row each test", content))
     curves = [
         ((alloy.name, alloy.hold, item.label), item.curve)
         for alloys in run.held.values()
@@ -38,11 +38,11 @@ def downloads(run: RunResults) -> list[Download]:
     ]
     if curves:
         content = _joined(("alloy", "hold", "immersion"), curves)
-        found.append(_download("curves.csv", "the curves, a row each increment of a test", content))
+        found.append(download("curves.csv", "the curves, a row each increment of a test", content))
     history = [((alloy.name,), alloy.history) for alloy in run.alloys if alloy.history]
     if history:
         content = _joined(("alloy",), history)
-        found.append(_download("history.csv", "the corrosion, a row each time step", content))
+        found.append(download("history.csv", "the corrosion, a row each time step", content))
     return found
 
 
@@ -69,6 +69,7 @@ def _rows(columns: Mapping[str, NDArray[np.float64]], names: list[str]) -> Itera
         yield ["" if np.isnan(value) else f"{value:.8g}" for value in values]
 
 
-def _download(name: str, text: str, content: str) -> Download:
+def download(name: str, text: str, content: str) -> Download:
+    """A CSV as a file in the page."""
     packed = base64.b64encode(content.encode()).decode()
     return Download(name, text, f"data:text/csv;charset=utf-8;base64,{packed}")

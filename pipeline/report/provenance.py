@@ -157,7 +157,7 @@ def _law_rows(scene: Scene) -> list[ParameterRow]:
         remark = "no source gives it; the parameter set was fitted to bare metal"
         rows.append(("coating", str(chosen.coating), remark))
     return [
-        ParameterRow("Corrosion", "", _title(name), "", law, "", "assumed", remark=remark)
+        ParameterRow("Corrosion", "", title_of(name), "", law, "", "assumed", remark=remark)
         for name, law, remark in rows
     ]
 
@@ -252,7 +252,7 @@ def settings(scene: Scene) -> dict[str, list[tuple[str, str]]]:
     for group, choices in groups.items():
         values = {item.name: getattr(choices, item.name) for item in fields(choices)}
         found[group] = [
-            (_title(name), " ".join(filter(None, _shown(name, value))))
+            (title_of(name), " ".join(filter(None, shown(name, value))))
             for name, value in values.items()
             if value is not None and name != "sha256"
         ]
@@ -308,7 +308,7 @@ def _row(
     place: tuple[str, str], name: str, value: float, known: Quantity | None, remark: str = ""
 ) -> ParameterRow:
     """A row with the quantity's provenance where the number is that of the quantity."""
-    title, symbol = _title(name), SYMBOLS.get(name, "")
+    title, symbol = title_of(name), SYMBOLS.get(name, "")
     if known is not None and _same(value, known.si):
         notes = [remark, known.conditions, known.note]
         return ParameterRow(
@@ -322,13 +322,13 @@ def _row(
             known.where,
             "; ".join(note for note in notes if note),
         )
-    text, unit = _shown(name, value)
+    text, unit = shown(name, value)
     if known is not None:
         remark = f"the data file has {known} ({known.source}, {known.where})"
     return ParameterRow(*place, title, symbol, text, unit, "set by hand", remark=remark)
 
 
-def _shown(name: str, value: object) -> tuple[str, str]:
+def shown(name: str, value: object) -> tuple[str, str]:
     """Value and unit as a person reads them."""
     if isinstance(value, bool):
         return ("yes" if value else "no"), ""
@@ -353,7 +353,8 @@ def _shown(name: str, value: object) -> tuple[str, str]:
     return f"{value:.6g}", unit
 
 
-def _title(name: str) -> str:
+def title_of(name: str) -> str:
+    """What a field of a scene is called for a reader."""
     if name in _TITLES:
         return _TITLES[name]
     text = name.replace("_", " ")
