@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from peri.corrosion.kinetics import ConstantRate, VolumeLossLaw
+from peri.corrosion.nodes.problem import CorrosionProblem
 from peri.corrosion.run import corrode
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.lattice import Lattice
@@ -52,9 +53,13 @@ def test_corners_of_the_parameters(interface, liquid, saturated, boundary):
         saturation_concentration=saturated * SOLID,
     )
     result = march(scene, [0.0, 86400.0, 10 * YEAR])
-    # full liquid: V_L stands still to the solver's tolerance, measured -5e-13
     assert result.volume_loss[0] == 0.0 < result.volume_loss[1]
-    assert result.volume_loss[1] <= result.volume_loss[2] + 1e-11
+    # Full liquid: V_L stands still to the solver's tolerance, measured -5e-13, or to what the
+    # rounding of the bonds' sums hides in a step of five years (3e-6 of the level with the largest
+    # D_liq, measured 4e-7).
+    bonds = CorrosionProblem(scene).discrete.largest_sum
+    hidden = 4 * np.finfo(float).eps * liquid * bonds * result.history["step"].max()
+    assert result.volume_loss[1] * (1 - hidden) <= result.volume_loss[2] + 1e-11
 
 
 @pytest.mark.parametrize("scheme", ["backward_euler", "sdirk2"])
