@@ -17,6 +17,7 @@ from pathlib import Path
 from pipeline.calibration.command import add_calibrate_options
 from pipeline.campaigns.options import add_campaign_options, add_design_options
 from pipeline.compare.command import add_compare_options
+from pipeline.completion import add_completion_options, print_completion
 from pipeline.export.command import add_export_options
 from pipeline.record import interruption
 from pipeline.record.machine import prepare_libraries
@@ -92,6 +93,8 @@ def build_parser() -> argparse.ArgumentParser:
     bench.add_argument("--small", action="store_true", help="a small version, to see it work")
     study = add("study", _study, "error against run time, and the tables behind the presets")
     add_study_options(study)
+    completion = add("completion", _completion, "a script that completes commands in a shell")
+    add_completion_options(completion)
     return parser
 
 
@@ -329,6 +332,11 @@ def _bench(options: argparse.Namespace) -> int:
         print(json.dumps(result, indent=2))
     else:
         print_result(result)
+    return 0
+
+
+def _completion(options: argparse.Namespace) -> int:
+    print_completion(build_parser(), options.shell)
     return 0
 
 

@@ -107,6 +107,7 @@ BELOW = {
         "calibration": {"scene", "geometry", "record", "stages"},
         "export": {"scene", "geometry", "record", "stages"},
         "compare": {"scene", "record", "report"},
+        "completion": set(),
         "life_cycle": {"scene", "geometry", "record", "stages", "report"},
         "campaigns": {"scene", "geometry", "record", "stages", "calibration", "life_cycle"},
         "benches": {
@@ -135,6 +136,7 @@ BELOW = {
             "export",
             "run",
             "compare",
+            "completion",
         },
     },
 }

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import importlib
 
-__all__ = ["CorrosionResult", "CorrosionScene", "corrode"]
-
 _HOMES = {
     "CorrosionResult": "peri.corrosion.run",
     "CorrosionScene": "peri.corrosion.scene",
