@@ -331,6 +331,8 @@ class QuasiSteadyLiquid:
         """Sweep: potential from the net charge at each node, then the ions' migration in it."""
         space, chemistry = self.space, self.chemistry
         z2 = chemistry.charge**2
+        # The printed flux moves ions twice as far, so half the potential does.
+        gain = 2.0 if self.options.flux_form == "as_published" else 1.0
         thermal = GAS_CONSTANT * chemistry.temperature / FARADAY
         published = self.options.closure == "as_published"
         permittivity = 0.0
@@ -349,7 +351,7 @@ class QuasiSteadyLiquid:
                 state.psi = psi
             else:
                 excess = state.net_charge - charge_scale * (space.outflow(state.psi) / space.volume)
-                update = excess / (support + charge_scale * space.degree)
+                update = excess / (gain * support + charge_scale * space.degree)
                 # A potential that follows round-off would only stir the ions.
                 if np.abs(excess / support).max(initial=0.0) > 0.1 * self.options.neutrality:
                     state.psi = state.psi + update

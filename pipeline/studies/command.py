@@ -12,6 +12,7 @@ STUDIES = {
     "saturation": "what the time step does to the two saturation models (5 min)",
     "boundaries": "what no-flux walls and held layers do to diffusion near them (seconds)",
     "tensile": "error of peak force and strength left against processor time, presets (20 min)",
+    "nnpp": "ions: error against processor time; --published: the published features (3 min)",
     "published": "the published tensile outcome beside what pulled end faces give",
     "calibration": "searches of a fit by evaluations, and surrogates by points (2 min)",
     "life-cycle": "where the error of the strength left comes from, and what less of it costs",
@@ -33,6 +34,7 @@ def add_study_options(parser: argparse.ArgumentParser) -> None:
         "--immersion", nargs="+", metavar="T", help="tensile: 4w 8w 24w; life-cycle: 8w"
     )
     parser.add_argument("--long", action="store_true", help="tensile: finer; published: 47 um mesh")
+    parser.add_argument("--published", action="store_true", help="nnpp: the published features")
     parser.add_argument("--out", metavar="DIR", help="folder for the results")
 
 
@@ -49,6 +51,12 @@ def run_study(options: argparse.Namespace) -> None:
         from pipeline.studies.published import print_published
 
         print_published(options.long, Path(options.out) if options.out else None)
+        return
+    if options.what == "nnpp":
+        from pipeline.studies import ions, ions_published
+
+        show = ions_published.print_published_ions if options.published else ions.print_ions
+        show(Path(options.out) if options.out else None)
         return
     if options.what in ("rates", "boundaries", "saturation"):  # print, and need nothing
         study = importlib.import_module(f"pipeline.studies.{options.what}")
