@@ -23,12 +23,16 @@ from pipeline.record import interruption
 from pipeline.record.machine import prepare_libraries
 from pipeline.record.options import add_folder_options, add_machine_options
 from pipeline.record.summary import print_summary
-from pipeline.run import add_run_options, fitting_scene
+from pipeline.run import add_init_options, add_run_options, every_option, fitting_scene
 from pipeline.scene.options import add_scene_options
 from pipeline.scene.parser import OneSentenceParser
+from pipeline.scene.scene_file import take_scene_file
 from pipeline.studies.command import add_study_options
 
 INTERRUPTED = 130
+
+OF_THE_RUN = ("out", "quiet", "resume")
+"""What a scene file says of its own run, not of a design or a fit."""
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -50,9 +54,11 @@ def build_parser() -> argparse.ArgumentParser:
 
     run = add("run", _run, "the whole life cycle: geometry, corrosion, damage, tensile test")
     add_run_options(run)
+    add_init_options(add("init", _init, "print a scene file with every option, for `perilife run`"))
     geometry = add("geometry", _geometry, "begin a run folder: solid and mesh of a scene")
     add_scene_options(geometry)
     add_folder_options(geometry, resume=True)
+    take_scene_file(geometry, every_option)
     for name, action, text in (
         ("corrode", _corrode, "corrosion of the alloys of a run folder"),
         ("map", _map, "damage on the mesh for the immersion times of a run folder"),
@@ -75,14 +81,17 @@ def build_parser() -> argparse.ArgumentParser:
     add_scene_options(plan)
     add_machine_options(plan)
     plan.add_argument("--json", action="store_true", help="as one JSON object")
+    take_scene_file(plan, every_option)
     calibrate = add("calibrate", _calibrate, "constants from measured volume loss, with doubts")
     add_scene_options(calibrate, immersion=False)
     add_calibrate_options(calibrate)
     add_folder_options(calibrate)
+    take_scene_file(calibrate, every_option, without=OF_THE_RUN, stored=False)
     design = add("design", _design, "which value of an option keeps a strength for a time")
     add_scene_options(design, immersion=False)
     add_design_options(design)
     add_folder_options(design)
+    take_scene_file(design, every_option, without=OF_THE_RUN, stored=False)
     campaign = add("campaign", _campaign, "many scenes from one file, each stage computed once")
     add_campaign_options(campaign)
     add_folder_options(campaign)
@@ -169,6 +178,13 @@ def _run(options: argparse.Namespace) -> int:
     print(f"\ntable:  {folder.summary_file}")
     if folder.report_file.exists():
         print(f"report: {folder.report_file}")
+    return 0
+
+
+def _init(options: argparse.Namespace) -> int:
+    from pipeline.scene.template import write_template
+
+    print(write_template(every_option(), options), end="")
     return 0
 
 

@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING
 
 from pipeline.campaigns.options import add_sample_options
 from pipeline.record.options import add_folder_options, add_machine_options
+from pipeline.scene.arguments import options_of
 from pipeline.scene.options import add_scene_options
+from pipeline.scene.parser import OneSentenceParser
+from pipeline.scene.scene_file import take_scene_file
 
 if TYPE_CHECKING:
     from pipeline.record.progress import Progress
@@ -16,8 +19,27 @@ if TYPE_CHECKING:
     from pipeline.scene.scene import Scene
 
 
-def add_run_options(parser: argparse.ArgumentParser) -> None:
-    """Every option of `perilife run`."""
+def add_run_options(parser: OneSentenceParser) -> None:
+    """Every option of `perilife run`, and the scene file that may give them."""
+    _add_options(parser)
+    take_scene_file(parser, every_option)
+
+
+def every_option() -> argparse.ArgumentParser:
+    """A parser with every option that a scene file may name."""
+    parser = argparse.ArgumentParser(add_help=False)
+    _add_options(parser)
+    return parser
+
+
+def add_init_options(parser: argparse.ArgumentParser) -> None:
+    """The options that `perilife init` writes into a scene file, none of them required."""
+    _add_options(parser)
+    for action in options_of(parser).values():
+        action.required = False
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
     add_scene_options(parser)
     add_folder_options(parser, resume=True)
     add_machine_options(parser)

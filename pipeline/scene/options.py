@@ -18,7 +18,7 @@ from pipeline.scene.ions import (
     resolve_ions,
 )
 from pipeline.scene.loads import LOADS
-from pipeline.scene.mechanics import DAMAGE_UPDATES, LATERAL
+from pipeline.scene.mechanics import DAMAGE_UPDATES, ELEMENTS, LATERAL
 from pipeline.scene.rate_law import kinetics_in_words
 from pipeline.scene.resolution import RESOLUTIONS
 from pipeline.scene.scene import (
@@ -37,7 +37,13 @@ from pipeline.scene.scene import (
 from pipeline.scene.screw import THREADS, ScrewParameters
 from pipeline.scene.units import METRES_PER, parse_angle, parse_length, parse_time
 
-_SCREW_LENGTHS = ("diameter", "length", "pitch", "slot_width", "slot_depth")
+_SCREW_LENGTHS = {
+    "diameter": "of the thread, outer (2mm)",
+    "length": "from end face to end face (4mm)",
+    "pitch": "of the thread (0.4mm)",
+    "slot_width": "of the slot for the driver (0.5mm; 0mm with depth 0mm: none)",
+    "slot_depth": "of the slot (0.5mm)",
+}
 
 
 def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -> None:
@@ -66,8 +72,8 @@ def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -
         help="measured volume loss (CSV), plotted beside the result; may be repeated",
     )
     screw = parser.add_argument_group("geometry (lengths with unit: 2mm, 100um)")
-    for name in _SCREW_LENGTHS:
-        screw.add_argument(f"--{name.replace('_', '-')}", metavar="LENGTH")
+    for name, text in _SCREW_LENGTHS.items():
+        screw.add_argument(f"--{name.replace('_', '-')}", metavar="LENGTH", help=text)
     screw.add_argument("--thread", metavar="KIND", help=", ".join(THREADS))
     screw.add_argument("--solid", metavar="FILE", help="closed solid instead: STEP, BREP or STL")
     screw.add_argument("--unit", metavar="U", help=f"of the solid: {', '.join(METRES_PER)} (mm)")
@@ -156,7 +162,7 @@ def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -
     )
     tensile.add_argument("--mesh-size", metavar="LENGTH", help="edge length in the bulk")
     tensile.add_argument("--mesh-size-fine", metavar="LENGTH", help="at thread and slot")
-    tensile.add_argument("--element", metavar="E")
+    tensile.add_argument("--element", metavar="E", help=f"{', '.join(ELEMENTS)} (P2)")
     tensile.add_argument(
         "--hold",
         nargs="+",
@@ -190,6 +196,9 @@ def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -
 def scene_from_options(options: argparse.Namespace) -> Scene:
     """Build the scene that the options describe; ValueError or OSError with one sentence."""
     from pipeline.scene.resolve import DEFAULT_PARAMETER_SET, resolve_scene
+
+    if getattr(options, "scene", None) is not None:
+        return _stored_scene(options)
 
     def length(name: str) -> float | None:
         text = getattr(options, name)
@@ -260,6 +269,28 @@ def scene_from_options(options: argparse.Namespace) -> Scene:
         from pipeline.scene.resolve import rate_law
 
         rate_law(scene, scene.alloys[0].name)  # refuses numbers out of range
+    return scene
+
+
+def _stored_scene(options: argparse.Namespace) -> Scene:
+    """The resolved scene that the options name, beside which no option of a scene may be given."""
+    from pipeline.scene.resolve import solid_file
+    from pipeline.scene.scene_file import read_stored
+
+    parser = argparse.ArgumentParser(add_help=False)
+    add_scene_options(parser)
+    for action in parser._actions:
+        if getattr(options, action.dest, action.default) != action.default:
+            raise ValueError(
+                f"{action.option_strings[-1]} is given beside '{options.scene}', which has every "
+                "number of a scene; it must be left out, or the scene be a TOML file"
+            )
+    scene = read_stored(options.scene)
+    solid = scene.geometry
+    if isinstance(solid, SolidFile) and solid_file(solid.path, solid.unit) != solid:
+        raise ValueError(
+            f"solid is '{solid.path}'; it was changed after '{options.scene}' was written"
+        )
     return scene
 
 

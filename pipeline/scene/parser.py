@@ -2,17 +2,33 @@
 
 import argparse
 import re
+import sys
+from collections.abc import Callable, Sequence
 
 from perilife_data import did_you_mean
 
 
 class OneSentenceParser(argparse.ArgumentParser):
-    """A parser that refuses in one sentence, without repeating the usage."""
+    """A parser that refuses in one sentence, without repeating the usage.
+
+    expand: turns the arguments into those that are parsed (pipeline.scene.scene_file).
+    """
+
+    expand: Callable[[list[str]], list[str]] | None = None
 
     def __init__(self, *arguments: object, **options: object) -> None:
         super().__init__(*arguments, **options)
         # no option begins with a digit, so that -2mm is a (refused) length and no option
         self._negative_number_matcher = re.compile(r"-\.?\d")
+
+    def parse_known_args(
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> tuple[argparse.Namespace, list[str]]:
+        """Parse, what a scene file says in front of what was typed."""
+        arguments = list(sys.argv[1:] if args is None else args)
+        if self.expand is not None:
+            arguments = self.expand(arguments)
+        return super().parse_known_args(arguments, namespace)
 
     def error(self, message: str) -> None:
         """Refuse, with the nearest command or option where one was not understood."""

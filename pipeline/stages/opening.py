@@ -1,6 +1,5 @@
 """Opening a run folder: everything that can be refused is refused before anything is written."""
 
-import json
 import os
 import shutil
 from collections.abc import Iterable, Iterator
@@ -9,7 +8,8 @@ from pathlib import Path
 
 from pipeline.record.run_folder import SCENE_FILE, RunFolder, RunFolderError, write_json
 from pipeline.record.stage_hashes import geometry_hash, pull_hash
-from pipeline.scene.scene import Scene, SceneError, scene_from_json
+from pipeline.scene.scene import Scene
+from pipeline.scene.scene_file import read_stored
 
 
 @contextmanager
@@ -102,12 +102,7 @@ def read_scene(folder: RunFolder) -> Scene:
         raise FileNotFoundError(f"run folder '{folder.path}' does not exist")
     if not folder.scene_file.is_file():
         raise RunFolderError(f"'{folder.path}' holds no {SCENE_FILE}, so it is no run folder")
-    try:
-        return scene_from_json(json.loads(folder.scene_file.read_text(encoding="utf-8")))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise SceneError(f"'{folder.scene_file}' is not JSON: {error}") from None
-    except RecursionError:
-        raise SceneError(f"'{folder.scene_file}' is no scene: it is nested too deeply") from None
+    return read_stored(folder.scene_file)
 
 
 def check_folder(folder: RunFolder, scene: Scene, resume: bool) -> None:

@@ -16,8 +16,8 @@ from pipeline.scene.arguments import options_of
 from tests.pipeline.command_line import scene_of
 
 ROOT = Path(__file__).resolve().parents[3]
-PRINTED = {"json"}
-"""Options that say what the command prints."""
+APART = {"json", "scene"}
+"""What the command prints; the scene file, of which test_scene_file.py tells."""
 
 
 def of_the_command() -> dict[str, argparse.Action]:
@@ -25,7 +25,7 @@ def of_the_command() -> dict[str, argparse.Action]:
     parser = build_parser()
     (commands,) = (a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
     found = options_of(commands.choices["run"])
-    return {name: action for name, action in found.items() if name not in PRINTED}
+    return {name: action for name, action in found.items() if name not in APART}
 
 
 def typed(action: argparse.Action) -> tuple[list[str], object]:
