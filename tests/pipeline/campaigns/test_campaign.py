@@ -1,12 +1,14 @@
 """Campaigns: what a file asks for, what one task is, and (slow) engines, deaths, resumption."""
 
 import os
+import random
 import re
 import signal
 import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -24,6 +26,7 @@ from pipeline.campaigns.task import do_task
 from pipeline.cli import main
 from pipeline.record.machine import child_environment
 from pipeline.record.run_folder import RunFolder
+from tests.pipeline.processes import survivors
 
 PIN = """
 thread = "none"
@@ -211,27 +214,65 @@ def test_every_engine_gives_the_same_bytes(rows, engine, tmp_path):
     assert (tmp_path / "campaign.csv").read_bytes() == table
 
 
+KILLS = 10
+
+
 @pytest.mark.slow
-def test_a_killed_campaign_goes_on_without_repeating_anything(rows, tmp_path):
+def test_campaign_and_workers_killed_at_random_moments_go_on_without_repeating_anything(
+    rows, tmp_path
+):
+    """SIGKILL of a campaign, or of one of its workers; a table that is complete begins anew."""
     path, _, table = rows
-    command = [sys.executable, "-m", "pipeline.cli", "campaign", str(path), "--out", str(tmp_path)]
-    kept: dict[Path, int] = {}
-    for patience in (6.0, 12.0, 18.0):
-        process = subprocess.Popen(
-            command, env=child_environment(0, None), start_new_session=True,
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
-        time.sleep(patience)
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
-        now = stamps(tmp_path) if (tmp_path / STORE_FOLDER).exists() else {}
+    draw = random.Random(20)  # never three workers in a row, which would cost a scene
+    victims = [draw.choice(["campaign", "worker"]) for _ in range(KILLS)]
+    assert {"campaign", "worker"} == set(victims)
+    out, kept, campaign, interrupted = tmp_path / "0", {}, None, 0
+    while victims:
+        mark = f"perilife-kills-{os.getpid()}-{out.name}"
+        campaign = campaign or begin(path, out, mark)
+        with suppress(subprocess.TimeoutExpired):
+            campaign.wait(draw.uniform(0.0, 8.0))
+        now = stamps(out) if (out / STORE_FOLDER).exists() else {}
         assert kept.items() <= now.items()
         kept = now
-        time.sleep(3.0)  # pulls end with their parent
-    assert kept
-    done = subprocess.run(
-        command, env=child_environment(0, None), capture_output=True, text=True, check=False
+        if campaign.poll() is not None:
+            interrupted += check_whole(campaign, out, table)
+            out, kept, campaign = tmp_path / str(int(out.name) + 1), {}, None
+        elif victims[-1] == "campaign":
+            campaign.kill()
+            campaign.wait()
+            victims.pop()
+            campaign = None
+            wait_until(lambda mark=mark: not survivors(mark))  # children end with their parent
+            kept = stamps(out) if (out / STORE_FOLDER).exists() else {}
+        else:
+            workers = [pid for pid in survivors(mark) if pid != campaign.pid]
+            if workers:
+                os.kill(draw.choice(workers), signal.SIGKILL)
+                victims.pop()
+    campaign = campaign or begin(path, out, f"perilife-kills-{os.getpid()}-{out.name}")
+    campaign.wait(600)
+    assert kept.items() <= stamps(out).items()
+    assert interrupted + check_whole(campaign, out, table) >= 1
+
+
+def begin(path: Path, out: Path, mark: str) -> subprocess.Popen:
+    command = [sys.executable, "-m", "pipeline.cli", "campaign", str(path), "--out", str(out)]
+    environment = child_environment(0, None) | {"PERILIFE_TEST_MARK": mark}
+    return subprocess.Popen(
+        command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
     )
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert kept.items() <= stamps(tmp_path).items()
-    assert (tmp_path / "campaign.csv").read_bytes() == table
+
+
+def check_whole(campaign: subprocess.Popen, out: Path, table: bytes) -> int:
+    """One, for a campaign that ended well with the rows of one that nobody killed."""
+    assert campaign.returncode == 0, campaign.stderr.read().decode()[-2000:]
+    assert (out / "campaign.csv").read_bytes() == table
+    return 1
+
+
+def wait_until(done, seconds: float = 30.0) -> None:
+    end = time.monotonic() + seconds
+    while not done():
+        assert time.monotonic() < end
+        time.sleep(0.05)
