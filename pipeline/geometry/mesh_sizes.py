@@ -7,16 +7,21 @@ import gmsh
 import numpy as np
 
 
-def set_sizes(size: float, size_fine: float, ends: Sequence[tuple[float, float]] = ()) -> None:
+def set_sizes(
+    size: float, size_fine: float, ends: Sequence[tuple[float, float]] = (), surface: bool = False
+) -> None:
     """Edge lengths (mm) of the cells of the loaded model.
 
-    size: in the bulk; size_fine: on the sharp edges; ends: z of an end and the edge length within
-    two of these lengths of it.  Each grows to `size` over a distance of 2 `size`; the smallest
-    counts.
+    size: in the bulk; size_fine: on the sharp edges, or on the whole `surface`; ends: z of an end
+    and the edge length within two of these lengths of it.  Each grows to `size` over a distance of
+    2 `size`, that of the surface as the mesher grows its cells inward; the smallest counts.
     """
-    for name in ("ExtendFromBoundary", "FromPoints", "FromCurvature"):
+    for name in ("FromPoints", "FromCurvature"):
         gmsh.option.setNumber(f"Mesh.MeshSize{name}", 0)
-    fields = [_at_edges(size, size_fine)] if size_fine < size else []
+    gmsh.option.setNumber("Mesh.MeshSizeExtendFromBoundary", int(surface))
+    fields = []
+    if size_fine < size:
+        fields.append(_on_surface(size, size_fine) if surface else _at_edges(size, size_fine))
     fields += [_at_level(level, end, size) for level, end in ends]
     if not fields:
         gmsh.option.setNumber("Mesh.MeshSizeMax", size)
@@ -35,6 +40,16 @@ def _at_edges(size: float, size_fine: float) -> int:
     field.setNumbers(distance, "CurvesList", edges)
     field.setNumber(distance, "Sampling", max(20, min(2000, math.ceil(2 * longest / size_fine))))
     return _growing(distance, size_fine, size, 0.5 * size_fine)
+
+
+def _on_surface(size: float, size_fine: float) -> int:
+    """A field that is `size_fine` on the model's surface and `size` inside."""
+    field = gmsh.model.mesh.field
+    constant = field.add("Constant")
+    field.setNumbers(constant, "SurfacesList", [tag for _, tag in gmsh.model.getEntities(2)])
+    field.setNumber(constant, "VIn", size_fine)
+    field.setNumber(constant, "VOut", size)
+    return constant
 
 
 def _at_level(level: float, size_end: float, size: float) -> int:

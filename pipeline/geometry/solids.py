@@ -56,6 +56,7 @@ occ = gmsh.model.occ
 
 STEP, BREP, STL = (".step", ".stp"), (".brep", ".brp"), (".stl",)
 STL_EDGE_ANGLE = math.radians(25.0)  # between triangles, from where on an edge of an STL is sharp
+ROUND = math.pi  # no edge is: the sharp ones of an image are steps from voxel to voxel
 
 # (2D algorithm, 3D algorithm, factor on both sizes): frontal 6, Delaunay 5; HXT 10, Delaunay 1
 MESH_ATTEMPTS = ((6, 10, 1.0), (6, 1, 1.0), (5, 10, 0.95), (6, 10, 0.9), (5, 1, 0.85))
@@ -204,7 +205,8 @@ def tetrahedral_mesh(
     """Tetrahedra of edge length ``size`` (m) inside and ``size_fine`` along thread and slot.
 
     ``size_fine`` (default: half of ``size``) holds on the sharp edges of the solid - the helices
-    of a thread, the outline of slot and end faces - and grows to ``size`` over 2 ``size``;
+    of a thread, the outline of slot and end faces - and grows to ``size`` over 2 ``size``; on a
+    solid from an image, whose edges are not known, it holds on the whole surface;
     ``size_ends`` likewise within two of these lengths of the lowest and of the highest z (None:
     nothing is refined there). Straight edges, nodes exactly on the end planes. Attempts with other
     algorithms and slightly other sizes follow if gmsh fails. ValueError for sizes out of range or
@@ -241,6 +243,7 @@ def tetrahedral_mesh(
                         for z, end in zip(levels, size_ends, strict=True)
                         if end
                     ],
+                    solid.voxels is not None,
                 )
                 points, cells = _mesh_model(plane, space)
         except (MemoryError, RuntimeError):
@@ -366,7 +369,7 @@ def _load_solid(solid: Solid) -> None:
     tags = np.arange(1, len(solid.points) + 1)
     mesh.addNodes(2, patch, tags, (solid.points * MM).ravel())
     mesh.addElementsByType(patch, 2, [], solid.triangles.ravel() + 1)
-    mesh.classifySurfaces(STL_EDGE_ANGLE, True, True, math.pi)
+    mesh.classifySurfaces(STL_EDGE_ANGLE if solid.voxels is None else ROUND, True, True, math.pi)
     mesh.createGeometry()
     loop = gmsh.model.geo.addSurfaceLoop([tag for _, tag in gmsh.model.getEntities(2)])
     gmsh.model.geo.addVolume([loop])

@@ -11,6 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from pipeline.geometry.intersections import first_intersection, ray_distances
+from pipeline.geometry.voxel_mask import VoxelMask
 
 FEATURE_RAYS = 1000
 WALL_SHARE, RIDGE_SHARE = 0.02, 0.25  # of the surface, for smallest_feature
@@ -21,10 +22,13 @@ class Solid:
     """One closed solid: measures, CAD data for the mesher, and a fine triangulation.
 
     volume, area: of the CAD model (m^3, m^2). reference_volume, reference_area: computed without
-    it - from the parameters for a screw, from ``points`` and ``triangles`` for a file.
+    it - from the parameters for a screw, from ``points`` and ``triangles`` for a file, the volume
+    of an image's solid from its voxels.
     bounding_box: lowest and highest corner (m). smallest_feature: what a lattice has to resolve
     (m). points (n, 3) in m and triangles (nt, 3), outward, closed: the surface for ray casting.
-    cad: the model as BREP text in mm, or "" for a solid known by its triangles only (STL).
+    cad: the model as BREP text in mm, or "" for a solid known by its triangles only (STL, image).
+    voxels, image: of a solid from an image its voxels, and how it was found in the image
+    (pipeline.geometry.scans).
     """
 
     name: str
@@ -37,6 +41,8 @@ class Solid:
     points: np.ndarray
     triangles: np.ndarray
     cad: str = ""
+    voxels: VoxelMask | None = None
+    image: dict | None = None
 
 
 def surface_volume_and_area(points: np.ndarray, triangles: np.ndarray) -> tuple[float, float]:

@@ -12,6 +12,7 @@ import numba
 import numpy as np
 
 from pipeline.geometry.surface import Solid
+from pipeline.geometry.voxel_mask import voxel_fraction, voxel_inside
 
 CELLS_PER_FEATURE = 1.9
 
@@ -48,7 +49,8 @@ def metal_fraction(
     side. Returns inside, bool, and fraction in [0, 1], float64, both of the given shape (nx, ny,
     nz); ``inside`` is True where the node itself is in the solid.
 
-    Rays run along x. A cell is crossed by samples x samples of them, each with the exact length
+    Of a solid from an image both come straight from its voxels. Of another one, rays run along x.
+    A cell is crossed by samples x samples of them, each with the exact length
     it has inside the triangulated solid. Whether a ray passes left or right of a projected edge
     is decided by the sign of one determinant per edge, the same for both triangles at the edge,
     with ties broken as if the ray were moved by (eps, eps^2): no ray slips through an edge or
@@ -58,7 +60,6 @@ def metal_fraction(
     Raises ValueError for shapes, spacings or samples out of range, and where a ray enters the
     solid more often than it leaves (an open surface).
     """
-    points, triangles = _arrays(surface)
     origin = np.asarray(origin, dtype=float)
     step = np.broadcast_to(np.asarray(spacing, dtype=float), (3,))
     counts = np.asarray(shape)
@@ -71,7 +72,13 @@ def metal_fraction(
     if not 1 <= samples <= 64:
         raise ValueError(f"samples is {samples}: allowed are 1 to 64.")
     nx, ny, nz = (int(c) for c in counts)
+    if isinstance(surface, Solid) and surface.voxels is not None:
+        return (
+            voxel_inside(surface.voxels, origin, step, (nx, ny, nz)),
+            voxel_fraction(surface.voxels, origin, step, (nx, ny, nz)),
+        )
 
+    points, triangles = _arrays(surface)
     offset = 1e-6 * step * np.array([1.0, 0.7548776662, 0.5698402910])
     nodes = _crossings(points, triangles, origin[1:] + offset[1:], step[1:], ny, nz)
     inside = np.zeros((nx, ny, nz), dtype=np.bool_)

@@ -27,6 +27,7 @@ from pipeline.record.run_results import AlloyResult, ImmersionResult, RunResults
 from pipeline.record.summary import SummaryRow
 from pipeline.report import doubts, plots, provenance
 from pipeline.report.downloads import downloads
+from pipeline.report.image import image_rows
 from pipeline.report.ions import ion_section
 from pipeline.report.picture_set import PictureSet, make_pictures, times_shown
 from pipeline.report.pictures import DAMAGE_COLOURS, MAXIMUM_DAMAGE, SIZE, write_overview
@@ -383,13 +384,16 @@ def _solid_rows(run: RunResults) -> list[tuple[str, str]]:
     volume, area = geometry.get("volume"), geometry.get("area")
     if volume:
         rows.append(("Volume of the solid", f"{1e9 * volume:.4g} mm³"))
-        rows += _difference("… against its parameters", volume, geometry.get("reference_volume"))
+        against = "voxels" if "image" in geometry else "parameters"
+        rows += _difference(f"… against its {against}", volume, geometry.get("reference_volume"))
         rows += _difference("… of the mesh against the solid", mesh.get("volume"), volume)
     if area:
         rows.append(("Surface of the solid", f"{1e6 * area:.4g} mm²"))
-        rows += _difference("… against its parameters", area, geometry.get("reference_area"))
+        if "image" not in geometry:  # an image has no other area
+            rows += _difference("… against its parameters", area, geometry.get("reference_area"))
     if geometry.get("smallest_feature"):
         rows.append(("Smallest feature", format_length(geometry["smallest_feature"])))
+    rows += image_rows(geometry.get("image"))
     if run.points is not None:
         rows += [("Mesh points", f"{len(run.points):,}"), ("Tetrahedra", f"{len(run.cells):,}")]
     for key, title, scale, unit in (

@@ -5,7 +5,7 @@ How a corroded solid is held decides which part of it is tested, and with it the
 
 from dataclasses import dataclass
 
-from pipeline.scene.scene import SceneError, ScrewGeometry, SolidFile
+from pipeline.scene.scene import Geometry, SceneError, ScrewGeometry
 
 GIVEN = "own"
 """Name of a way of holding whose depths were given one by one."""
@@ -55,7 +55,7 @@ ALL = ("shank", "slot", "faces")
 """The ways that `--hold all` asks for, where the solid has a slot."""
 
 
-def crust_depth(geometry: ScrewGeometry | SolidFile, horizon: float) -> float:
+def crust_depth(geometry: Geometry, horizon: float) -> float:
     """How deep an end corrodes while its outermost metal is still there (m).
 
     The depth of the slot and, below it, a horizon.  No slot is known of a solid from a file.
@@ -63,14 +63,12 @@ def crust_depth(geometry: ScrewGeometry | SolidFile, horizon: float) -> float:
     return (geometry.parameters.slot_depth if has_slot(geometry) else 0.0) + horizon
 
 
-def has_slot(geometry: ScrewGeometry | SolidFile) -> bool:
+def has_slot(geometry: Geometry) -> bool:
     """Whether the solid is known to have a slot."""
     return isinstance(geometry, ScrewGeometry) and geometry.parameters.has_slot
 
 
-def grip_depths(
-    name: str, geometry: ScrewGeometry | SolidFile, horizon: float
-) -> tuple[float, float]:
+def grip_depths(name: str, geometry: Geometry, horizon: float) -> tuple[float, float]:
     """Lengths (m) that the bottom and the top grip of a way of holding hold.
 
     Raises SceneError for an unknown name, and for the slotted section of a solid without slot.
@@ -93,7 +91,7 @@ def grip_depths(
     return deep, top
 
 
-def named(depths: tuple[float, float], geometry: ScrewGeometry | SolidFile, horizon: float) -> str:
+def named(depths: tuple[float, float], geometry: Geometry, horizon: float) -> str:
     """The name of the way of holding with these depths (m), GIVEN where it has none."""
     for name in ALL:
         if name == "slot" and not has_slot(geometry):
@@ -107,7 +105,7 @@ def named(depths: tuple[float, float], geometry: ScrewGeometry | SolidFile, hori
     return GIVEN
 
 
-def asked_for(names: list[str], geometry: ScrewGeometry | SolidFile, horizon: float) -> list[str]:
+def asked_for(names: list[str], geometry: Geometry, horizon: float) -> list[str]:
     """The names with `all` spelt out: every way that the solid allows."""
     if "all" not in names:
         return list(names)

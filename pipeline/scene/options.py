@@ -7,6 +7,12 @@ from pathlib import Path
 from peri.engine.omission import DEFAULT_TOLERANCE
 from pipeline.scene.coating import read_coating
 from pipeline.scene.holding import ALL as HOLDS
+from pipeline.scene.image import (
+    ImageFile,
+    add_image_options,
+    content_of,
+    image_from_options,
+)
 from pipeline.scene.ions import (
     ACTIVITIES,
     CLOSURES,
@@ -30,6 +36,7 @@ from pipeline.scene.scene import (
     SATURATIONS,
     TIME_SCHEMES,
     DomainSettings,
+    Geometry,
     Scene,
     ScrewGeometry,
     SolidFile,
@@ -77,6 +84,7 @@ def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -
     screw.add_argument("--thread", metavar="KIND", help=", ".join(THREADS))
     screw.add_argument("--solid", metavar="FILE", help="closed solid instead: STEP, BREP or STL")
     screw.add_argument("--unit", metavar="U", help=f"of the solid: {', '.join(METRES_PER)} (mm)")
+    add_image_options(screw)
     corrosion = parser.add_argument_group("corrosion, where the preset is not wanted")
     corrosion.add_argument(
         "--spacing",
@@ -291,10 +299,14 @@ def _stored_scene(options: argparse.Namespace) -> Scene:
         raise ValueError(
             f"solid is '{solid.path}'; it was changed after '{options.scene}' was written"
         )
+    if isinstance(solid, ImageFile) and content_of(Path(solid.path)) != solid.sha256:
+        raise ValueError(
+            f"image is '{solid.path}'; it was changed after '{options.scene}' was written"
+        )
     return scene
 
 
-def _geometry(options: argparse.Namespace) -> ScrewGeometry | SolidFile:
+def _geometry(options: argparse.Namespace) -> Geometry:
     from pipeline.scene.resolve import solid_file
 
     screw = {
@@ -304,10 +316,14 @@ def _geometry(options: argparse.Namespace) -> ScrewGeometry | SolidFile:
     }
     if options.thread is not None:
         screw["thread"] = options.thread
+    image = image_from_options(options)
+    if image is not None and (screw or options.solid is not None):
+        other = "solid" if options.solid is not None else next(iter(screw)).replace("_", "-")
+        raise ValueError(f"--{other} describes another solid and must not join --image")
     if options.solid is None:
         if options.unit is not None:
             raise ValueError("--unit goes with --solid, which must be given too")
-        return ScrewGeometry(ScrewParameters(**screw))
+        return image or ScrewGeometry(ScrewParameters(**screw))
     if screw:
         name = next(iter(screw)).replace("_", "-")
         raise ValueError(f"--{name} describes the parametric screw and must not join --solid")

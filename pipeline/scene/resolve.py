@@ -16,6 +16,7 @@ from pipeline.scene.scene import (
     CorrosionParameters,
     CorrosionSettings,
     DomainSettings,
+    Geometry,
     HoldScene,
     LatticeSettings,
     MaterialParameters,
@@ -42,7 +43,7 @@ def resolve_scene(
     resolution_name: str = "quick",
     *,
     parameter_set: str = DEFAULT_PARAMETER_SET,
-    geometry: ScrewGeometry | SolidFile | None = None,
+    geometry: Geometry | None = None,
     spacing: float | None = None,
     horizon: float | None = None,
     mesh_size: float | None = None,
@@ -100,7 +101,7 @@ def resolve_scene(
 
 def _holds(
     names: Sequence[str],
-    geometry: ScrewGeometry | SolidFile,
+    geometry: Geometry,
     lattice: LatticeSettings,
     preset: Resolution,
     mesh: MeshSettings,

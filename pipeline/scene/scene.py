@@ -23,6 +23,7 @@ from perilife_data import did_you_mean
 from perilife_data.limits import LARGEST_YIELD_STRAIN
 from pipeline.scene.checks import SceneError, at_most, check, one_of, positive
 from pipeline.scene.coating import CoatingScene
+from pipeline.scene.image import ImageFile
 from pipeline.scene.ions import IonSettings
 from pipeline.scene.mechanics import HoldScene, MeshSettings, TensileScene
 from pipeline.scene.rate_law import read_kinetics
@@ -54,6 +55,9 @@ class SolidFile:
     unit: str
     sha256: str
     kind: str = "file"
+
+
+Geometry = ScrewGeometry | SolidFile | ImageFile
 
 
 @dataclass(frozen=True)
@@ -264,7 +268,7 @@ class Scene:
 
     resolution: str
     parameter_set: str
-    geometry: ScrewGeometry | SolidFile
+    geometry: Geometry
     immersion: tuple[ImmersionTime, ...]
     alloys: tuple[AlloyScene, ...]
     lattice: LatticeSettings

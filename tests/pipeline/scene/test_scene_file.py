@@ -115,7 +115,7 @@ def test_the_template_has_every_option_and_the_defaults_are_those_of_a_run(
     needs = {"bending_azimuth": {"load": "bending"}} | dict.fromkeys(ions, {"model": "nnpp"})
     for key, (value, example) in shown.items():
         name = keyword(key)
-        if name in ("solid", "unit"):
+        if name in ("solid", "unit", "image", "voxel", "threshold", "label", "cap"):
             continue
         beside = needs.get(name, {})
         if name == "volume_loss":
