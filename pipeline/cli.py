@@ -175,6 +175,12 @@ def _run(options: argparse.Namespace) -> int:
         from pipeline.record.bands import BANDS_FILE, print_bands, read_bands
 
         print_bands(read_bands(folder.path / BANDS_FILE))
+    if options.until_left is not None or options.until_force is not None:
+        from pipeline.record.until import UNTIL_FILE, read_until
+
+        print("\nWhen is it too weak?")
+        for row in read_until(folder.path / UNTIL_FILE):
+            print(f"  {row.in_words()}")
     print(f"\ntable:  {folder.summary_file}")
     if folder.report_file.exists():
         print(f"report: {folder.report_file}")

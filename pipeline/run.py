@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from pipeline.campaigns.options import add_sample_options
+from pipeline.campaigns.options import add_sample_options, add_until_options
 from pipeline.record.options import add_folder_options, add_machine_options
 from pipeline.scene.arguments import options_of
 from pipeline.scene.options import add_scene_options
@@ -13,6 +13,7 @@ from pipeline.scene.parser import OneSentenceParser
 from pipeline.scene.scene_file import take_scene_file
 
 if TYPE_CHECKING:
+    from pipeline.campaigns.until import Wanted
     from pipeline.record.progress import Progress
     from pipeline.record.run_folder import RunFolder
     from pipeline.record.summary import SummaryRow
@@ -44,6 +45,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     add_folder_options(parser, resume=True)
     add_machine_options(parser)
     add_sample_options(parser)
+    add_until_options(parser)
 
 
 def scene_of(options: argparse.Namespace) -> Scene:
@@ -76,7 +78,17 @@ def resolved(options: argparse.Namespace) -> tuple[Scene, object]:
     check_counts(options.ranks, None, options.oversubscribe, "--ranks")
     scene, solid = fitting_scene(options)
     check_ranks(scene, options.ranks)
+    _wanted(options, scene)
     return scene, solid
+
+
+def _wanted(options: argparse.Namespace, scene: Scene) -> Wanted | None:
+    """The strength below which the part is too weak, None where nobody asks."""
+    if options.until_left is None and options.until_force is None:
+        return None
+    from pipeline.campaigns.until import wanted_of
+
+    return wanted_of(options, scene)
 
 
 def carry_out(
@@ -93,6 +105,11 @@ def carry_out(
         "progress": progress,
         "march_ranks": options.ranks,
     }
+    wanted = _wanted(options, scene)
+    if wanted is not None:
+        from pipeline.campaigns.until import run_until
+
+        return folder, run_until(scene, folder.path, wanted, solid=solid, **shared)
     if options.samples is None:
         from pipeline.life_cycle import run_life_cycle
 

@@ -36,6 +36,17 @@ def add_sample_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_until_options(parser: argparse.ArgumentParser) -> None:
+    """Options of `perilife run` that ask when the part becomes too weak."""
+    group = parser.add_argument_group("when is it too weak? (within the immersion times)")
+    group.add_argument(
+        "--until-left", type=float, metavar="X", help="with less than this share of its strength"
+    )
+    group.add_argument(
+        "--until-force", metavar="F", help="with a smaller peak: 300N; a torque or moment: 60Nmm"
+    )
+
+
 def add_design_options(parser: argparse.ArgumentParser) -> None:
     """Options of `perilife design` beside those of the scene."""
     group = parser.add_argument_group("design")

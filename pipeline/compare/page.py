@@ -14,10 +14,10 @@ from pipeline.compare.differences import ABSENT, differences
 from pipeline.compare.runs import Line, Way, same_time, tested, times, way_of, ways
 from pipeline.record.run_folder import write_text
 from pipeline.record.run_results import RunResults
-from pipeline.report.doubts import strength_error
 from pipeline.report.downloads import Download, download
 from pipeline.report.templating import environment, script
 from pipeline.report.wording import duration, gathered, headline, percent
+from pipeline.scene.errors import strength_error
 from pipeline.scene.holding import HOLDINGS
 
 

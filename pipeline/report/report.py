@@ -25,6 +25,7 @@ from pipeline.record.machine import describe_machine, package_versions
 from pipeline.record.run_folder import REPORT_FILE, write_text
 from pipeline.record.run_results import AlloyResult, ImmersionResult, RunResults, read_run
 from pipeline.record.summary import SummaryRow
+from pipeline.record.until import UNTIL_FILE, read_until
 from pipeline.report import doubts, plots, provenance
 from pipeline.report.downloads import downloads
 from pipeline.report.image import image_rows
@@ -45,6 +46,7 @@ from pipeline.report.wording import (
     until_it_gives_way,
 )
 from pipeline.scene import published
+from pipeline.scene.errors import strength_error
 from pipeline.scene.holding import HOLDINGS
 from pipeline.scene.loads import LOADS, LoadNames
 from pipeline.scene.scene import ScrewGeometry
@@ -128,6 +130,7 @@ def write_report(run_folder: Path | str) -> Path:
             damage_ramp=_damage_ramp(),
             plots=_plots(run, measured, load, banded),
             bands=[_band_row(row) for row in banded],
+            until=[row.in_words() for row in read_until(run.folder / UNTIL_FILE)],
             shares=share_tables(run, read_doubts(run.folder / DOUBTS_FILE)),
             measured=sorted(measured),
             checks=doubts.checks(run),
@@ -346,7 +349,7 @@ def _plots(
         if any(i.strength_ratio is not None for a in alloys for i in a.immersions)
     }
     first = [b for b in banded if b.hold == run.scene.holds[0].name]  # volume loss is alike in all
-    errors = {hold.name: doubts.strength_error(run.scene, hold) for hold in run.scene.holds}
+    errors = {hold.name: strength_error(run.scene, hold) for hold in run.scene.holds}
     return {
         "strength": [
             (

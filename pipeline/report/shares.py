@@ -6,8 +6,8 @@ import math
 
 from pipeline.record.doubts import HoldDoubts, Source
 from pipeline.record.run_results import RunResults
-from pipeline.report.doubts import corrosion_error, tensile_error
 from pipeline.report.wording import duration, percent
+from pipeline.scene.errors import corrosion_error, tensile_error
 from pipeline.scene.holding import HOLDINGS
 
 GRIPS = "grips"

@@ -6,6 +6,8 @@ The loads themselves are in fem.loading, which is slow to import.
 import math
 from dataclasses import dataclass
 
+from pipeline.scene.units import parse_in
+
 
 @dataclass(frozen=True)
 class LoadNames:
@@ -93,3 +95,17 @@ LOADS: dict[str, LoadNames] = {
     "torsion": _turn("torsion", "torque", "a twist", "twisted"),
     "bending": _turn("bending", "moment", "bending", "bent"),
 }
+
+
+def read_reaction(text: str, load: str, field: str) -> float:
+    """Read a force such as `300N`, under torsion and bending a torque or moment such as `60Nmm`.
+
+    Returns N or N m.  Raises ValueError with one sentence for another form or unit, and where it is
+    not above 0.
+    """
+    axial = load == "axial"
+    units = {"N": 1.0, "kN": 1e3} if axial else {"Nmm": 1e-3, "Nm": 1.0}
+    value = parse_in(text, field, units, "300N" if axial else "60Nmm")
+    if value <= 0:
+        raise ValueError(f"{field} is '{text}'; it must be above 0")
+    return value

@@ -117,6 +117,14 @@ def parse_angle(text: str, field: str = "angle") -> float:
     return _parse(text, field, RADIANS_PER, "30deg")[1]
 
 
+def parse_in(text: str, field: str, units: dict[str, float], example: str) -> float:
+    """Read a number with one of these units (unit -> its size in SI) and return it in SI.
+
+    Raises ValueError with one sentence when the number or the unit is missing or wrong.
+    """
+    return _parse(text, field, units, example)[1]
+
+
 def parse_length(text: str, field: str = "length") -> float:
     """Read a length such as `2mm` or `100um` and return metres.
 

@@ -15,6 +15,7 @@ from PIL import Image
 from pipeline.record.run_folder import RunFolder
 from pipeline.record.run_results import AlloyResult, ImmersionResult, read_run
 from pipeline.record.summary import SummaryRow, read_summary, write_summary
+from pipeline.record.until import FOUND, UNTIL_FILE, UntilRow, write_until
 from pipeline.report import doubts, picture_set, pictures, plots, provenance, report, wording
 from pipeline.scene.holding import HOLDINGS
 from pipeline.scene.resolution import RESOLUTIONS
@@ -28,6 +29,11 @@ def page_of(path):
     assert target == path / "report.html"
     text = target.read_text(encoding="utf-8")
     return Page(text), text
+
+
+TOO_WEAK = UntilRow(
+    "Mg-5Gd", "shank", "axial", FOUND, 0.8, 361.6, 83.0, 0.801, 362.0, 0.19, 1.4, 13.0, 2
+)
 
 
 @pytest.fixture(scope="module")
@@ -45,9 +51,15 @@ def full(tmp_path_factory, mesh):
     )
     scene = scene_of(measured_volume_loss={"Mg-5Gd": str(data)})
     write_run(path, scene, *mesh)
+    write_until(path / UNTIL_FILE, [TOO_WEAK])
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(picture_set, "ENOUGH_CELLS", 5000)  # coarser pictures, a third of the time
         return path, *page_of(path)
+
+
+def test_it_says_when_the_part_is_too_weak(full):
+    _, page, _ = full
+    assert "from 11.9 weeks on, ± 1.4 days by the search" in page.sections["until"]
 
 
 def test_the_page_stands_alone_and_is_well_formed(full):
