@@ -23,7 +23,8 @@ from pipeline.record.summary import SummaryRow, write_summary
 from pipeline.scene.loads import LOADS
 from pipeline.scene.scene import HoldScene, Scene
 from pipeline.scene.units import ImmersionTime
-from pipeline.stages.strength import TensileJob, read_result, run_jobs, run_jobs_here, written_files
+from pipeline.stages.pulls import run_jobs
+from pipeline.stages.strength import TensileJob, read_result, run_jobs_here, written_files
 
 logger = logging.getLogger(__name__)
 

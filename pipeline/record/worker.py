@@ -11,6 +11,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 
 from pipeline.record.children import end_with_parent, how_it_ended
 
@@ -25,12 +26,17 @@ class WorkerEndedError(RuntimeError):
 class Worker:
     """A child that runs `python -m MODULE`, whose main calls `serve`.
 
-    To be used in the thread that makes it, and closed.
+    To be used in the thread that makes it, and closed.  start: as subprocess.Popen.
     """
 
-    def __init__(self, module: str, environment: Mapping[str, str]):
+    def __init__(
+        self,
+        module: str,
+        environment: Mapping[str, str],
+        start: Callable[..., subprocess.Popen] = subprocess.Popen,
+    ):
         self._said = tempfile.TemporaryFile()
-        self.process = subprocess.Popen(
+        self.process = start(
             [sys.executable, "-m", module, str(os.getpid())],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -45,20 +51,34 @@ class Worker:
 
     def ask(self, request: object) -> object:
         """The child's answer to a request, both as JSON has them; WorkerEndedError without one."""
+        self.begin(request)
+        return self.answer()
+
+    def begin(self, request: object) -> None:
+        """Hand the child a request without waiting for the answer."""
         self._said.seek(0)
         self._said.truncate()
-        try:
+        with suppress(BrokenPipeError):  # a child that has ended: `answer` says so
             self.process.stdin.write(json.dumps(request) + "\n")
             self.process.stdin.flush()
-            answer = self.process.stdout.readline()
-        except BrokenPipeError:
-            answer = ""
+
+    def answered(self) -> bool:
+        """Whether `answer` need not wait: the child has answered or ended."""
+        return bool(select.select([self.process.stdout], [], [], 0.0)[0])
+
+    def answer(self) -> object:
+        """Wait for what the child answers to `begin`; WorkerEndedError where it ends instead."""
+        answer = self.process.stdout.readline()
         if answer.endswith("\n"):
             return json.loads(answer)
         code = self.process.wait()
-        self._said.seek(0)
-        lines = self._said.read().decode(errors="replace").strip().splitlines() or ["no message"]
+        lines = self.said().strip().splitlines() or ["no message"]
         raise WorkerEndedError(f"{how_it_ended(code)}: {lines[-1].strip()}")
+
+    def said(self) -> str:
+        """What the child has printed since the last request."""
+        self._said.seek(0)
+        return self._said.read().decode(errors="replace")
 
     def kill(self) -> None:
         """End the child whatever it does; from any thread."""

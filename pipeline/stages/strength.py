@@ -1,16 +1,12 @@
-"""The tensile stage: one job file in, force-elongation curve out, in a process of its own.
+"""The tensile stage: one job in, force-elongation curve out, in this process.
 
-Torsion and bending likewise: torque or moment against angle.
-
-`perilife` starts `python -m pipeline.stages.strength JOB.json` per pull (under `mpirun -n NP`
-when NP > 1), so that a crash or the memory of one test never touches the others.
+Torsion and bending likewise: torque or moment against angle.  `pulls.py` does several in children.
 """
 
 import json
 import logging
 import os
 import resource
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -21,8 +17,6 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.geometry.mesh import read_mesh
-from pipeline.record import children, interruption
-from pipeline.record.machine import child_environment, mpirun, processor_cores
 from pipeline.record.run_folder import write_json, write_text
 from pipeline.scene.loads import LOADS
 from pipeline.scene.scene import MaterialParameters, TensileScene
@@ -36,7 +30,6 @@ SERIES_FILE = "tensile.pvd"
 LOG_FILE = "tensile.log"
 PROGRESS_FILE = ".tensile.progress"
 CHECKPOINT_FILE = ".tensile.checkpoint.h5"
-POLL_SECONDS = 0.1
 CHECKPOINT_SECONDS = 30.0
 SERIES_EVERY = 4
 """Increments from one file of the ParaView series to the next."""
@@ -44,10 +37,6 @@ SERIES_EVERY = 4
 _ORDER = ("force", "torque", "moment", "iterations", "halvings", "work", "stored", "dissipated")
 
 logger = logging.getLogger(__name__)
-
-
-class TensileStageError(RuntimeError):
-    """A tensile test that ended without a result; the message says where its log is."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +58,11 @@ class TensileJob:
     @staticmethod
     def read(path: Path) -> "TensileJob":
         """Read a job that `write` stored."""
-        content = json.loads(Path(path).read_text())
+        return TensileJob.from_json(json.loads(Path(path).read_text()))
+
+    @staticmethod
+    def from_json(content: dict) -> "TensileJob":
+        """A job from what `asdict` makes of it."""
         content["material"] = MaterialParameters(**content["material"])
         content["tensile"] = TensileScene(**content["tensile"])
         return TensileJob(**content)
@@ -238,63 +231,6 @@ def read_result(folder: Path) -> dict[str, object]:
     return json.loads((folder / RESULT_FILE).read_text(encoding="utf-8"))
 
 
-@dataclass
-class _Running:
-    job: TensileJob
-    key: str
-    process: subprocess.Popen
-    started: float
-
-
-def run_jobs(
-    jobs: dict[str, TensileJob],
-    ranks: int = 1,
-    workers: int = 1,
-    started: Callable[[str], None] = lambda key: None,
-    advanced: Callable[[str, float], None] = lambda key, fraction: None,
-    finished: Callable[[str, float], None] = lambda key, seconds: None,
-    keep: tuple[int, ...] = (),
-) -> None:
-    """Run jobs in processes of their own, `workers` at a time with `ranks` ranks each.
-
-    keep: descriptors that the processes inherit, the lock of the run folder (children.start).
-    The callbacks are called in this process with the job's key.  When one job fails the others
-    that run are allowed to end, then TensileStageError is raised; when this process is
-    interrupted all children are ended first, and when it is killed they end with it.
-    """
-    command_line = _launcher(ranks)
-    waiting = list(jobs.items())
-    running: list[_Running] = []
-    failures: list[str] = []
-    try:
-        while running or (waiting and not failures):
-            while waiting and not failures and len(running) < workers:
-                key, job = waiting.pop(0)
-                running.append(_start(key, job, command_line, ranks, workers, keep))
-                started(key)
-            time.sleep(POLL_SECONDS)
-            interruption.check()
-            for item in list(running):
-                code = item.process.poll()
-                if code is None:
-                    advanced(item.key, _read_fraction(Path(item.job.out)))
-                    continue
-                running.remove(item)
-                # at once: a run that is killed later keeps this test and would keep the file
-                (Path(item.job.out) / PROGRESS_FILE).unlink(missing_ok=True)
-                if code == 0:
-                    finished(item.key, time.monotonic() - item.started)
-                else:
-                    failures.append(_failure(item, code))
-    finally:
-        for item in running:
-            children.end(item.process)
-        for job in jobs.values():
-            (Path(job.out) / PROGRESS_FILE).unlink(missing_ok=True)
-    if failures:
-        raise TensileStageError("; ".join(failures))
-
-
 def run_jobs_here(
     jobs: dict[str, TensileJob],
     finished: Callable[[str, float], None] = lambda key, seconds: None,
@@ -305,7 +241,7 @@ def run_jobs_here(
     For a process that is itself a child: what crashes ends it, and an exception is that of the job.
     """
     for key, job in jobs.items():
-        _forget_others(job)
+        forget_others(job)
         job.write()
         _forget_peak_memory()
         begun = time.monotonic()
@@ -340,41 +276,7 @@ def _printing_to(path: Path) -> Iterator[None]:
             os.close(old)
 
 
-def _launcher(ranks: int) -> list[str]:
-    command = [sys.executable, "-m", "pipeline.stages.strength"]
-    return command if ranks == 1 else [*mpirun(ranks, f"--np {ranks}"), *command]
-
-
-def _environment(ranks: int, workers: int) -> dict[str, str]:
-    """One thread per rank for BLAS; Numba gets what is left of the cores."""
-    threads = max(1, processor_cores() // (ranks * workers))
-    return child_environment(ranks, threads)
-
-
-def _start(
-    key: str,
-    job: TensileJob,
-    command_line: list[str],
-    ranks: int,
-    workers: int,
-    keep: tuple[int, ...],
-) -> _Running:
-    _forget_others(job)
-    path = job.write()
-    with open(Path(job.out) / LOG_FILE, "w", encoding="utf-8") as log:
-        process = children.start(
-            [*command_line, str(path)],
-            launcher=ranks > 1,
-            keep=keep,
-            stdout=log,
-            stderr=subprocess.STDOUT,
-            stdin=subprocess.DEVNULL,
-            env=_environment(ranks, workers),
-        )
-    return _Running(job, key, process, time.monotonic())
-
-
-def _forget_others(job: TensileJob) -> None:
+def forget_others(job: TensileJob) -> None:
     """Remove checkpoint and series that another job left in the folder of this one."""
     out = Path(job.out)
     try:
@@ -387,32 +289,3 @@ def _forget_others(job: TensileJob) -> None:
     if not checkpoint.exists():
         for path in (*out.glob("tensile_*.vtu"), out / SERIES_FILE):
             path.unlink(missing_ok=True)
-
-
-def _failure(item: _Running, code: int) -> str:
-    log = Path(item.job.out) / LOG_FILE
-    lines = [line for line in log.read_text(errors="replace").splitlines() if line.strip()]
-    last = lines[-1].strip() if lines else "no message"
-    return f"{item.key} ended with {children.how_it_ended(code)} ({last}; log: {log})"
-
-
-def _read_fraction(folder: Path) -> float:
-    try:
-        return float((folder / PROGRESS_FILE).read_text())
-    except (OSError, ValueError):
-        return 0.0
-
-
-def main(arguments: list[str]) -> int:
-    """Entry point of the child process: run the one job named on the command line."""
-    if len(arguments) != 1:
-        print("usage: python -m pipeline.stages.strength JOB.json", file=sys.stderr)
-        return 2
-    children.end_with_parent()  # a rank's parent is mpirun
-    logging.basicConfig(level=logging.INFO, format="%(relativeCreated)8.0f ms %(message)s")
-    run_job(TensileJob.read(Path(arguments[0])))
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

@@ -30,7 +30,6 @@ from pipeline.scene.scene import (
     TensileScene,
 )
 from pipeline.scene.units import parse_immersion_times
-from pipeline.stages.strength import TensileJob, TensileStageError, run_jobs
 
 FINER = MeshSettings(0.2e-3, 0.1e-3)
 MESH = MeshSettings(0.3e-3, 0.2e-3)
@@ -318,74 +317,6 @@ def test_a_failed_write_leaves_the_old_file_and_no_temporary(tmp_path, monkeypat
         write_text(target, "new")
     assert target.read_text() == "old"
     assert [p.name for p in tmp_path.iterdir()] == ["file.txt"]
-
-
-def _job(out: Path, scene: Scene) -> TensileJob:
-    out.mkdir(parents=True)
-    material = scene.alloys[0].material
-    return TensileJob(str(out), str(out), str(out), material, scene.tensile)
-
-
-def _child(monkeypatch, code: str) -> None:
-    """Let every tensile job be a small Python program instead."""
-    command = [sys.executable, "-c", code]
-    monkeypatch.setattr("pipeline.stages.strength._launcher", lambda ranks: command)
-
-
-def test_a_job_survives_its_file(tmp_path):
-    job = _job(tmp_path / "a", _scene("0w"))
-    assert TensileJob.read(job.write()) == job
-
-
-def test_jobs_run_side_by_side_up_to_the_number_asked_for(tmp_path, monkeypatch):
-    _child(monkeypatch, "import time; time.sleep(0.3)")
-    jobs = {str(n): _job(tmp_path / str(n), _scene("0w")) for n in range(4)}
-    running, most, done = set(), [], []
-
-    def started(key):
-        running.add(key)
-        most.append(len(running))
-
-    def finished(key, seconds):
-        running.discard(key)
-        done.append(key)
-        assert seconds >= 0.3
-
-    run_jobs(jobs, workers=2, started=started, finished=finished)
-    assert max(most) == 2
-    assert sorted(done) == sorted(jobs)
-
-
-def test_a_failed_job_is_named_with_its_log_and_the_others_finish(tmp_path, monkeypatch):
-    code = "import sys; sys.exit('no pivot' if sys.argv[1].split('/')[-2] == 'bad' else 0)"
-    _child(monkeypatch, code)
-    jobs = {name: _job(tmp_path / name, _scene("0w")) for name in ("good", "bad")}
-    done = []
-    with pytest.raises(TensileStageError, match=r"bad ended with exit status 1 \(no pivot; log: "):
-        run_jobs(jobs, workers=2, finished=lambda key, seconds: done.append(key))
-    assert done == ["good"]
-
-
-def test_children_end_with_an_interrupted_run(tmp_path, monkeypatch):
-    code = "import time, sys, os; open(sys.argv[1] + '.pid', 'w').write(str(os.getpid()))"
-    _child(monkeypatch, code + "; time.sleep(60)")
-    job = _job(tmp_path / "a", _scene("0w"))
-    note = tmp_path / "a" / "tensile-job.json.pid"
-
-    def interrupt(key, fraction):
-        if note.exists() and note.read_text():
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run_jobs({"a": job}, advanced=interrupt)
-    status = Path("/proc", note.read_text(), "stat")
-    assert not status.exists() or " Z " in status.read_text()
-
-
-def test_a_missing_mpirun_is_named(tmp_path, monkeypatch):
-    monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(FileNotFoundError, match="mpirun was not found.*--np 2"):
-        run_jobs({"a": _job(tmp_path / "a", _scene("0w"))}, ranks=2)
 
 
 def test_the_command_starts_without_the_heavy_libraries():

@@ -14,7 +14,7 @@ from pipeline.stages.strength import (
     CHECKPOINT_FILE,
     RESULT_FILE,
     TensileJob,
-    _forget_others,
+    forget_others,
     read_result,
     run_job,
 )
@@ -135,10 +135,10 @@ def test_what_another_job_left_is_removed_and_what_this_one_left_is_kept(job, tm
     for path in left:
         path.write_text("old")
     job.write()
-    _forget_others(job)
+    forget_others(job)
     assert all(path.exists() for path in left)
     other = TensileJob(
         job.geometry, job.damage, job.out, job.material, TensileScene("P1-Fbar", increment=0.001)
     )
-    _forget_others(other)
+    forget_others(other)
     assert not any(path.exists() for path in left)

@@ -1,0 +1,204 @@
+"""Pulls in child processes, several at a time, so that a crash of one never touches the others.
+
+A child on one rank is kept for the next pull: importing and loading what a test needs costs as much
+as a fifth of it.  Tests on several ranks have an mpirun each.  Both are
+`python -m pipeline.stages.pulls`.
+"""
+
+import logging
+import subprocess
+import sys
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+
+from pipeline.record import children, interruption
+from pipeline.record.machine import child_environment, mpirun, processor_cores
+from pipeline.record.worker import Worker, WorkerEndedError, serve
+from pipeline.stages.strength import (
+    LOG_FILE,
+    PROGRESS_FILE,
+    TensileJob,
+    forget_others,
+    run_job,
+    run_jobs_here,
+)
+
+POLL_SECONDS = 0.1
+
+_MODULE = "pipeline.stages.pulls"
+
+
+class TensileStageError(RuntimeError):
+    """A tensile test that ended without a result; the message says where its log is."""
+
+
+class _Alone:
+    """A test in an mpirun of its own."""
+
+    def __init__(self, key: str, job: TensileJob, process: subprocess.Popen) -> None:
+        self.key, self.job, self.process = key, job, process
+        self.started = time.monotonic()
+
+    def poll(self) -> int | None:
+        """The exit status; None while the test runs."""
+        return self.process.poll()
+
+    def end(self) -> None:
+        children.end(self.process)
+
+
+class _Kept:
+    """A test in a child that can do others after it."""
+
+    def __init__(self, key: str, job: TensileJob, worker: Worker) -> None:
+        self.key, self.job, self.worker = key, job, worker
+        self.started = time.monotonic()
+        worker.begin(asdict(job))
+
+    def poll(self) -> int | None:
+        """0 when the test is done, the child's exit status when it died of it, else None."""
+        if not self.worker.answered():
+            return None
+        try:
+            self.worker.answer()
+        except WorkerEndedError:
+            return self.worker.process.wait()
+        return 0
+
+    def end(self) -> None:
+        children.end(self.worker.process)
+        self.worker.close()
+
+
+def run_jobs(
+    jobs: dict[str, TensileJob],
+    ranks: int = 1,
+    workers: int = 1,
+    started: Callable[[str], None] = lambda key: None,
+    advanced: Callable[[str, float], None] = lambda key, fraction: None,
+    finished: Callable[[str, float], None] = lambda key, seconds: None,
+    keep: tuple[int, ...] = (),
+) -> None:
+    """Run jobs in child processes, `workers` at a time with `ranks` ranks each.
+
+    keep: descriptors that the processes inherit, the lock of the run folder (children.start).
+    The callbacks are called in this process with the job's key.  When one job fails the others
+    that run are allowed to end, then TensileStageError is raised; when this process is
+    interrupted all children are ended first, and when it is killed they end with it.
+    """
+    # one thread per rank for BLAS; Numba gets what is left of the cores
+    environment = child_environment(ranks, max(1, processor_cores() // (ranks * workers)))
+    command = _launcher(ranks)
+    waiting = list(jobs.items())
+    running: list[_Alone | _Kept] = []
+    idle: list[Worker] = []
+    failures: list[str] = []
+
+    def begin(key: str, job: TensileJob) -> _Alone | _Kept:
+        log = Path(job.out) / LOG_FILE
+        log.unlink(missing_ok=True)
+        start = partial(children.start, keep=keep)
+        if command is None:
+            alive = [worker for worker in idle if worker.alive()]
+            idle[:] = alive[1:]
+            return _Kept(key, job, alive[0] if alive else Worker(_MODULE, environment, start))
+        forget_others(job)
+        with open(log, "wb") as said:
+            return _Alone(
+                key,
+                job,
+                start(
+                    [*command, str(job.write())],
+                    launcher=True,
+                    stdout=said,
+                    stderr=subprocess.STDOUT,
+                    stdin=subprocess.DEVNULL,
+                    env=environment,
+                ),
+            )
+
+    try:
+        while running or (waiting and not failures):
+            while waiting and not failures and len(running) < workers:
+                running.append(begin(*waiting.pop(0)))
+                started(running[-1].key)
+            time.sleep(POLL_SECONDS)
+            interruption.check()
+            for item in list(running):
+                code = item.poll()
+                if code is None:
+                    advanced(item.key, _read_fraction(Path(item.job.out)))
+                    continue
+                running.remove(item)
+                # at once: a run that is killed later keeps this test and would keep the file
+                (Path(item.job.out) / PROGRESS_FILE).unlink(missing_ok=True)
+                if isinstance(item, _Kept):
+                    idle.append(item.worker)
+                if code == 0:
+                    finished(item.key, time.monotonic() - item.started)
+                else:
+                    failures.append(_failure(item, code))
+    finally:
+        for item in running:
+            item.end()
+        for worker in idle:
+            worker.close()
+        for job in jobs.values():
+            (Path(job.out) / PROGRESS_FILE).unlink(missing_ok=True)
+    if failures:
+        raise TensileStageError("; ".join(failures))
+
+
+def _launcher(ranks: int) -> list[str] | None:
+    """What starts one test on several ranks; None on one, where children are kept."""
+    if ranks == 1:
+        return None
+    return [*mpirun(ranks, f"--np {ranks}"), sys.executable, "-m", _MODULE]
+
+
+def _failure(item: _Alone | _Kept, code: int) -> str:
+    log = Path(item.job.out) / LOG_FILE
+    said = log.read_text(errors="replace") if log.exists() else item.worker.said()
+    lines = [line for line in said.splitlines() if line.strip()]
+    last = lines[-1].strip() if lines else "no message"
+    return f"{item.key} ended with {children.how_it_ended(code)} ({last}; log: {log})"
+
+
+def _read_fraction(folder: Path) -> float:
+    try:
+        return float((folder / PROGRESS_FILE).read_text())
+    except (OSError, ValueError):
+        return 0.0
+
+
+def _answer(content: dict) -> str:
+    """Do a job; what stops it stands in its log, too."""
+    job = TensileJob.from_json(content)
+    try:
+        run_jobs_here({job.out: job})
+    except Exception:
+        with open(Path(job.out) / LOG_FILE, "a", encoding="utf-8") as log:
+            traceback.print_exc(file=log)
+        raise
+    return ""
+
+
+def main(arguments: list[str]) -> int:
+    """Entry point of a child: the job of a file on ranks, or one after another as asked."""
+    logging.basicConfig(level=logging.INFO, format="%(relativeCreated)8.0f ms %(message)s")
+    if len(arguments) == 1 and arguments[0].isdigit():  # the parent's number
+        return serve(_answer)
+    if len(arguments) != 1:
+        print(f"usage: python -m {_MODULE} JOB.json", file=sys.stderr)
+        return 2
+    children.end_with_parent()  # a rank's parent is mpirun
+    run_job(TensileJob.read(Path(arguments[0])))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,37 @@
+"""A child that pretends to pull, by the name of the job's folder, for the tests of pulls.
+
+bad: fails with a message; deaf: dies before it begins; hanging: writes its number and waits.
+"""
+
+import json
+import os
+import sys
+import time
+from pathlib import Path
+
+from pipeline.record.worker import serve
+from pipeline.stages.strength import LOG_FILE
+
+
+def pretend(job: dict) -> str:
+    """As the name of the job's folder says."""
+    out = Path(job["out"])
+    if out.name == "deaf":
+        sys.exit("not a word was heard")
+    (out / LOG_FILE).write_text("begun\n")
+    if out.name == "bad":
+        (out / LOG_FILE).write_text("begun\nno pivot\n")
+        sys.exit(1)
+    if out.name == "hanging":
+        (out / "pid").write_text(str(os.getpid()))
+        time.sleep(60)
+    time.sleep(0.3)
+    (out / "by").write_text(str(os.getpid()))
+    return ""
+
+
+if __name__ == "__main__":
+    if sys.argv[1].isdigit():
+        sys.exit(serve(pretend))
+    job = Path(sys.argv[1])
+    pretend(json.loads(job.read_text()))

@@ -1,0 +1,93 @@
+"""Pulls in children: side by side, kept for the next, named when they fail, ended when asked."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from pipeline.scene.scene import MaterialParameters, TensileScene
+from pipeline.stages import pulls
+from pipeline.stages.pulls import TensileStageError, run_jobs
+from pipeline.stages.strength import TensileJob
+
+PRETENDING = "tests.pipeline.stages.pretending"
+
+
+@pytest.fixture(params=["kept", "alone"])
+def way(request, monkeypatch):
+    """Children that only pretend to pull: kept, or each started for one job as mpirun is."""
+    monkeypatch.setattr(pulls, "_MODULE", PRETENDING)
+    if request.param == "alone":
+        command = [sys.executable, "-m", PRETENDING]
+        monkeypatch.setattr(pulls, "_launcher", lambda ranks: command)
+    return request.param
+
+
+def job(out: Path) -> TensileJob:
+    out.mkdir(parents=True)
+    material = MaterialParameters(43e9, 0.3, 130e6, 120e6, 10.0)
+    return TensileJob(str(out), str(out), str(out), material, TensileScene("P1-Fbar"))
+
+
+def test_a_job_survives_its_file(tmp_path):
+    written = job(tmp_path / "a")
+    assert TensileJob.read(written.write()) == written
+
+
+def test_jobs_run_side_by_side_up_to_the_number_asked_for(tmp_path, way):
+    jobs = {str(n): job(tmp_path / str(n)) for n in range(4)}
+    running, most, done = set(), [], []
+
+    def started(key):
+        running.add(key)
+        most.append(len(running))
+
+    def finished(key, seconds):
+        running.discard(key)
+        done.append(key)
+        assert seconds >= 0.3
+
+    run_jobs(jobs, workers=2, started=started, finished=finished)
+    assert max(most) == 2
+    assert sorted(done) == sorted(jobs)
+    children = {(tmp_path / name / "by").read_text() for name in jobs}
+    assert len(children) == (2 if way == "kept" else 4)
+
+
+@pytest.mark.parametrize(("name", "said"), [("bad", "no pivot"), ("deaf", "not a word was heard")])
+def test_a_failed_job_is_named_with_its_log_and_the_others_finish(tmp_path, way, name, said):
+    jobs = {each: job(tmp_path / each) for each in ("good", name)}
+    done = []
+    with pytest.raises(
+        TensileStageError, match=rf"{name} ended with exit status 1 \({said}; log: "
+    ):
+        run_jobs(jobs, workers=2, finished=lambda key, seconds: done.append(key))
+    assert done == ["good"]
+
+
+def test_children_end_with_an_interrupted_run(tmp_path, way):
+    hanging = job(tmp_path / "hanging")
+    note = tmp_path / "hanging" / "pid"
+
+    def interrupt(key, fraction):
+        if note.exists() and note.read_text():
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_jobs({"a": hanging}, advanced=interrupt)
+    status = Path("/proc", note.read_text(), "stat")
+    assert not status.exists() or " Z " in status.read_text()
+
+
+def test_a_test_that_cannot_be_done_leaves_its_reason_in_the_log(tmp_path):
+    """A real child, asked for a test without a mesh."""
+    wrong = job(tmp_path / "a")
+    with pytest.raises(TensileStageError, match=r"a ended with exit status 1 \(.*mesh"):
+        run_jobs({"a": wrong})
+    assert "Traceback" in (tmp_path / "a" / "tensile.log").read_text()
+
+
+def test_a_missing_mpirun_is_named(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(FileNotFoundError, match="mpirun was not found.*--np 2"):
+        run_jobs({"a": job(tmp_path / "a")}, ranks=2)
