@@ -27,6 +27,7 @@ from pipeline.run import add_init_options, add_run_options, every_option, fittin
 from pipeline.scene.options import add_scene_options
 from pipeline.scene.parser import OneSentenceParser
 from pipeline.scene.scene_file import take_scene_file
+from pipeline.scenes.command import add_scenes_options
 from pipeline.studies.command import add_study_options
 
 INTERRUPTED = 130
@@ -95,6 +96,8 @@ def build_parser() -> argparse.ArgumentParser:
     campaign = add("campaign", _campaign, "many scenes from one file, each stage computed once")
     add_campaign_options(campaign)
     add_folder_options(campaign)
+    scenes = add("scenes", _scenes, "pits, crevices and galvanic couples: list them, or run one")
+    add_scenes_options(scenes)
     add("alloys", _alloys, "the alloys and parameter sets that are known")
     bench = add("bench", _bench, "benchmarks of this machine")
     bench.add_argument("name", metavar="NAME", help="name of a benchmark, or list")
@@ -318,6 +321,13 @@ def _campaign(options: argparse.Namespace) -> int:
 
     say = (lambda line: None) if options.quiet else (lambda line: print(line, flush=True))
     return run_from_options(options, say)
+
+
+def _scenes(options: argparse.Namespace) -> int:
+    from pipeline.scenes.command import run_scenes
+
+    run_scenes(options, print)
+    return 0
 
 
 def _alloys(options: argparse.Namespace) -> int:

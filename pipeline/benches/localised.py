@@ -6,12 +6,16 @@ import time
 
 import numpy as np
 
-from peri.corrosion.acidity import AcidityLaw
 from peri.corrosion.metal.bond_damage import BondDamage
 from peri.engine.lattice import Lattice
 from peri.engine.march.marching import TimeStepping, march
-from peri.omissions.thin_gap import ThinGap, ThinGapProblem
+from peri.omissions.thin_gap import ThinGapProblem
 from pipeline.benches.result import Result
+from pipeline.scenes.crevices import (
+    PUBLISHED_CURRENT_FACTOR,
+    PUBLISHED_DIFFUSIVITY_FACTOR,
+    crevice_625,
+)
 
 HORIZON_RATIO = 4
 
@@ -67,28 +71,6 @@ def small_bond_damage() -> list[Result]:
 HOUR = 3600.0
 
 
-def crevice_625(
-    seed: float, nodes: int, diffusivity_factor: float = 1.0, current_factor: float = 1.0
-) -> ThinGap:
-    """The washer of alloy 625 of Jafarzadeh et al. 2022: 12.7 mm, 25 um at the mouth, 5 um inside.
-
-    seed : m from the closed end that start at 0.99 C_sat.  z is not printed; 2.5 is assumed.
-    The factors stand for a lattice that does not conserve the diffusivity.
-    """
-    length, most = 12.7e-3, 5600.0
-    place = (np.arange(nodes) + 0.5) * length / nodes
-    return ThinGap(
-        length,
-        gap=25e-6 - 20e-6 * place / length,
-        concentration=np.where(place > length - seed, 0.99 * most, 0.0),
-        law=AcidityLaw(most, factor=current_factor),
-        charge_number=2.5,
-        diffusivity=7.2e-10 * diffusivity_factor,
-        solid_concentration=1.4e5,
-        saturation_concentration=most,
-    )
-
-
 def crevice(nodes: int = 1016, end: float = 72 * HOUR) -> list[Result]:
     """The film equation of the crevice of alloy 625 to 72 h, right and as on the printed lattice.
 
@@ -98,7 +80,9 @@ def crevice(nodes: int = 1016, end: float = 72 * HOUR) -> list[Result]:
     cases = {
         "seed 2 mm": crevice_625(2e-3, nodes),
         "seed 3 mm": crevice_625(3e-3, nodes),
-        "seed 0.5 mm, as on the printed lattice": crevice_625(0.5e-3, nodes, 0.2176, 7.57),
+        "seed 0.5 mm, as on the printed lattice": crevice_625(
+            0.5e-3, nodes, PUBLISHED_DIFFUSIVITY_FACTOR, PUBLISHED_CURRENT_FACTOR
+        ),
     }
     results = [Result("nodes", nodes, "1")]
     for name, scene in cases.items():

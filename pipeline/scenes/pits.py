@@ -1,0 +1,177 @@
+"""Scenes of pits in stainless steel: the pencil electrode."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from peri.corrosion.nodes.problem import COLUMNS
+from peri.corrosion.run import CorrosionResult, corrode
+from peri.corrosion.scene import CorrosionScene
+from peri.engine.constants import FARADAY
+from peri.engine.lattice import box_lattice
+from peri.engine.march.marching import TimeStepping
+from peri.engine.results import Field, axes_of
+from pipeline.scenes.outcome import Curve, Outcome, Panel, Prepared, Value
+
+STEEL_304 = {
+    "solid_concentration": 142_900.0,
+    "saturation_concentration": 4_600.0,
+    "liquid_diffusivity": 8.6e-10,
+}
+CHARGE_NUMBER, CURRENT = 2.19, 5_100.0
+UNITS = {"time": "s", "step": "s", **COLUMNS, "iterations": "1"}
+_NAMES = {
+    "solid_concentration": ("concentration of the metal", "mol/m3"),
+    "saturation_concentration": ("saturation concentration", "mol/m3"),
+    "liquid_diffusivity": ("diffusivity", "m2/s"),
+}
+
+
+def steel_values() -> dict[str, Value]:
+    """The numbers of 304 steel as the public code PeriFast/Corrosion has them."""
+    where = "its input file"
+    values = {
+        name: Value(STEEL_304[key], unit, "PeriFast/Corrosion", where, "published")
+        for key, (name, unit) in _NAMES.items()
+    }
+    values["charge number"] = Value(CHARGE_NUMBER, "1", "PeriFast/Corrosion", where, "published")
+    values["current density"] = Value(CURRENT, "A/m2", "PeriFast/Corrosion", where, "published")
+    return values
+
+
+def pencil_scene(
+    spacing: float, ratio: int = 2, current: float = CURRENT, depth: float = 400e-6
+) -> CorrosionScene:
+    """A wire in resin that dissolves from its end; clean liquid at the mouth of the pit."""
+    lattice = box_lattice((-ratio * spacing,), (depth,), spacing)
+    return CorrosionScene(
+        lattice,
+        ratio * spacing,
+        lattice.axis(0) > 0,
+        dissolution_flux=current / (CHARGE_NUMBER * FARADAY),
+        flux_calibration="axis",
+        dissolution="faradaic",
+        **STEEL_304,
+    )
+
+
+def front_depth(scene: CorrosionScene, history: dict[str, np.ndarray]) -> np.ndarray:
+    """Metal lost over its C_solid: m in 1D, m2 in 2D, m3 in 3D."""
+    amount = history["metal_amount"]
+    return (amount[0] - amount) / scene.solid_concentration
+
+
+def unfilled_step(scene: CorrosionScene) -> float:
+    """The longest step, s, in which the flux does not fill a node that it has just emptied.
+
+    Such a node is liquid for the rest of the step, in which nothing leaves it; beyond C_sat it
+    would hold the current back where there is no salt layer yet.
+    """
+    flux = scene.dissolution_flux
+    assert flux is not None
+    return scene.saturation_concentration * min(scene.lattice.spacing) / flux
+
+
+def mean_current(
+    scene: CorrosionScene, history: dict[str, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Time (s) and current density of a flat front (A/m^2), each over the travel of a spacing."""
+    flux = scene.dissolution_flux
+    assert flux is not None
+    depth, time = front_depth(scene, history), history["time"]
+    span = scene.lattice.spacing[0] * scene.solid_concentration / flux
+    inside = time + span <= time[-1]
+    speed = (np.interp(time + span, time, depth) - depth)[inside] / span
+    current = CHARGE_NUMBER * FARADAY * scene.solid_concentration * speed
+    return time[inside] + 0.5 * span, current
+
+
+def onset(scene: CorrosionScene, history: dict[str, np.ndarray]) -> tuple[float, float]:
+    """Time (s) and depth (m) at which a salt layer begins to hold the current back.
+
+    The mean current falls below 99 % of the one without a layer, for good; infinite if never.
+    """
+    time, current = mean_current(scene, history)
+    assert scene.dissolution_flux is not None
+    full = current >= 0.99 * CHARGE_NUMBER * FARADAY * scene.dissolution_flux
+    if not full.any() or full[-1]:
+        return np.inf, np.inf
+    moment = float(time[np.flatnonzero(full)[-1]])
+    return moment, float(np.interp(moment, history["time"], front_depth(scene, history)))
+
+
+def pencil(spacing: float | None) -> Prepared:
+    """The pencil electrode, ready to run."""
+    spacing = spacing or 5e-6
+    scene = pencil_scene(spacing)
+    values = {
+        **steel_values(),
+        "lattice spacing": Value(spacing, "m", "", "", "assumed"),
+        "horizon": Value(2 * spacing, "m", "", "", "assumed"),
+    }
+    return Prepared(values, functools.partial(_march_pencil, scene))
+
+
+def _march_pencil(
+    scene: CorrosionScene,
+    times: Sequence[float],
+    *,
+    checkpoint: Path | None = None,
+    resume: bool = False,
+    progress: Callable[[float, str], None] | None = None,
+) -> Outcome:
+    result = corrode(
+        scene, times, TimeStepping(step=unfilled_step(scene)), checkpoint=checkpoint,
+        resume=resume, progress=progress,
+    )  # fmt: skip
+    history = result.history
+    depth = front_depth(scene, history)
+    moment, place = onset(scene, history)
+    x = 1e6 * scene.lattice.axis(0)
+    profiles = [
+        Curve(f"{t:.4g} s", x[~metal], c[~metal])
+        for t, c, metal in zip(result.times, result.concentration, result.metal, strict=True)
+    ]
+    summary = {
+        "depth at the end": (float(depth[-1]), "m"),
+        "onset of the salt layer": (moment, "s"),
+        "depth at that time": (place, "m"),
+        **closing(result),
+    }
+    panels = [
+        Panel("Depth of the pit", "time / s", "depth / um",
+              [Curve("pit", history["time"], 1e6 * depth)]),
+        Panel("Current", "time / s", "i / (A/m²)", [Curve("pit", *mean_current(scene, history))]),
+        Panel("Metal ions in the pit", "from the mouth / um", "C / (mol/m³)", profiles),
+    ]  # fmt: skip
+    return outcome_of(result, summary, panels)
+
+
+def closing(result: CorrosionResult) -> dict[str, tuple[float, str]]:
+    """What every march of corrosion says at its end."""
+    history = result.history
+    return {
+        "share of the metal lost": (float(result.volume_loss[-1]), "1"),
+        "nodes held at saturation": (float(history["saturated_nodes"][-1]), "1"),
+        "balance left open, largest": (float(np.abs(history["balance_error"]).max()), "1"),
+    }
+
+
+def outcome_of(
+    result: CorrosionResult, summary: dict[str, tuple[float, str]], panels: list[Panel]
+) -> Outcome:
+    """The outcome of a march of corrosion."""
+    lattice = result.scene.lattice
+    over = ("time", *axes_of(lattice))
+    fields = {
+        "concentration": Field(result.concentration, "mol/m3", over),
+        "metal": Field(result.metal, "", over),
+        "phase": Field(result.scene.phases(), "", axes_of(lattice)),
+    }
+    return Outcome(
+        lattice, result.times, fields, result.history, UNITS, summary, panels, result.wall_time
+    )

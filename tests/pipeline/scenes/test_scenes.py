@@ -1,0 +1,116 @@
+"""Scenes by name: their known answers, their files, what is refused."""
+
+import csv
+import json
+
+import h5py
+import numpy as np
+import pytest
+
+from pipeline.cli import main
+from pipeline.scenes import pits
+from pipeline.scenes.registry import SCENES, entry_of
+from tests.pipeline.command_line import refused
+
+
+def summary_of(folder) -> dict[str, float]:
+    with (folder / "summary.csv").open(newline="", encoding="utf-8") as file:
+        return {row["quantity"]: float(row["value"]) for row in csv.DictReader(file)}
+
+
+def run(folder, *arguments: str) -> None:
+    assert main(["scenes", *arguments, "--out", str(folder), "--quiet"]) == 0
+
+
+def slow(*values):
+    return pytest.param(*values, marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize(
+    ("name", "spacing", "quantity", "wanted", "within"),
+    [
+        # finite volumes: total at the start; Eq. 35 after a year; the film equation's own answer
+        slow("galvanic-ae44-steel", "0.5mm", "current at the start", 0.4120, 4e-3),
+        ("galvanic-ae44-aa6063", "1mm", "current at the start", 0.05141, 0.02),
+        slow("galvanic-slab", "4mm", "deepest at the end", 13.388974e-3, 1e-3),
+        slow("crevice-625", "25um", "area lost", 20.412e-9, 0.02),
+        # exact moving boundary 1002.349 s; measured 1.0 % late, of which the threshold is half
+        slow("pit-pencil", "10um", "onset of the salt layer", 1002.349, 0.02),
+    ],
+)
+def test_scenes_run_to_their_known_answers(
+    name, spacing, quantity, wanted, within, tmp_path, capsys
+):
+    folder = tmp_path / "run"
+    run(folder, name, "--spacing", spacing)
+    summary = summary_of(folder)
+    assert summary[quantity] == pytest.approx(wanted, rel=within)
+    left_open = [v for n, v in summary.items() if "left open" in n]
+    assert left_open and max(left_open) < 1e-10
+    printed = capsys.readouterr().out
+    assert quantity in printed and str(folder / "plot.png") in printed
+    with h5py.File(folder / "result.h5") as file:
+        assert len(file["times"]) == len(SCENES[name].times)
+        assert file["history/time"].attrs["unit"] == "s"
+        fields = [n for n in file if isinstance(file[n], h5py.Dataset) and n != "times"]
+        assert fields and all(np.isfinite(file[n][()]).any() for n in fields)
+    series = (folder / "fields.pvd").read_text(encoding="utf-8")
+    assert all((folder / f"fields_{n:03d}.vti").exists() for n in range(series.count("timestep")))
+    values = json.loads((folder / "scene.json").read_text(encoding="utf-8"))["values"]
+    assert all(v["kind"] == "assumed" or v["source"] for v in values.values())
+    assert not list(folder.glob("*.tmp")) and not (folder / "march.h5").exists()
+
+
+@pytest.mark.slow
+def test_pencil_converges_to_the_exact_onset():
+    """Salt layer at 169.298 um and 1002.349 s; 1/i and 1/i^2 in the current."""
+    found = []
+    for spacing in (20e-6, 10e-6):
+        scene = pits.pencil_scene(spacing, depth=260e-6)
+        step = pits.unfilled_step(scene)
+        result = pits.corrode(scene, [1200.0], pits.TimeStepping(step=step))
+        found.append(pits.onset(scene, result.history))
+        assert np.abs(result.history["balance_error"]).max() < 1e-12
+    # measured 3.9 and 1.0 % late (0.74 and 0.35 % at 5 and 2.5 um)
+    assert [t / 1002.349 - 1 for t, _ in found] == pytest.approx([0.039, 0.010], abs=0.01)
+    assert found[1][1] == pytest.approx(169.298e-6, rel=0.02)
+    scaled = pits.pencil_scene(10e-6 / 100, current=5.1e5, depth=2.6e-6)
+    result = pits.corrode(scaled, [0.12], pits.TimeStepping(step=pits.unfilled_step(scaled)))
+    time, depth = pits.onset(scaled, result.history)
+    assert time == pytest.approx(1e-4 * found[1][0], rel=1e-6)
+    assert depth == pytest.approx(1e-2 * found[1][1], rel=1e-6)
+
+
+def test_a_folder_is_kept_resumed_or_refused(tmp_path, capsys):
+    folder = tmp_path / "run"
+    arguments = ["galvanic-slab", "--spacing", "5mm", "--times", "10d", "20d"]
+    run(folder, *arguments)
+    before = {p.name: p.read_bytes() for p in folder.iterdir()}
+    run(folder, *arguments, "--resume")
+    assert {p.name: p.read_bytes() for p in folder.iterdir()} == before
+    capsys.readouterr()
+    out = ["--out", str(folder)]
+    refused(capsys, ["scenes", *arguments, *out], "is not empty", "--resume")
+    other = [*arguments[:-1], "30d", *out, "--resume"]
+    refused(capsys, ["scenes", *other], "another scene or other values")
+    (folder / "summary.csv").unlink()
+    run(folder, *arguments, "--resume")  # a file that is missing is made again
+    assert (folder / "summary.csv").read_bytes() == before["summary.csv"]
+
+
+def test_refusals(tmp_path, capsys):
+    out = ["--out", str(tmp_path / "run")]
+    refused(capsys, ["scenes", "galvanic-slap", *out], "did you mean galvanic-slab")
+    refused(capsys, ["scenes", "galvanic-slab"], "say where with --out DIR")
+    refused(capsys, ["scenes", *out], "--out is of a scene")
+    refused(capsys, ["scenes", "galvanic-slab", *out, "--spacing", "1"], "spacing '1'")
+    refused(capsys, ["scenes", "galvanic-slab", *out, "--times", "2d", "1d"], "must rise")
+    refused(capsys, ["scenes", "galvanic-slab", *out, "--times", "0s"], "must be above 0")
+    refused(capsys, ["scenes", "galvanic-ae44-steel", *out, "--spacing", "9mm"], "20 um to 1 mm")
+    assert not (tmp_path / "run").exists()
+
+
+def test_scenes_are_listed(capsys):
+    assert main(["scenes"]) == 0
+    printed = capsys.readouterr().out
+    assert all(f"{name} " in printed and entry_of(name).title in printed for name in SCENES)
