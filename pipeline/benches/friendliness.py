@@ -14,8 +14,10 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
+from pipeline.benches.images import image_to_solid
 from pipeline.benches.result import Result
 from pipeline.scene.scene import DomainSettings, ScrewGeometry
 from pipeline.scene.screw import ScrewParameters
@@ -126,5 +128,6 @@ def _seconds_to_compare(count: int, alloys: list[str], immersion: list[str]) -> 
 ROWS: dict[str, Row] = {
     "exported-screw": Row(exported_screw, small_exported_screw),
     "compared-runs": Row(compared_runs, small_compared_runs),
+    "image-to-solid": Row(image_to_solid, partial(image_to_solid, 96)),
 }
 """What `perilife bench friendliness` measures."""

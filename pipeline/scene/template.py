@@ -26,6 +26,10 @@ FIRST = {"alloy": ["Mg-5Gd"], "immersion": ["0w", "8w"], "out": "runs/mine"}
 EXAMPLES: dict[str, object] = {
     "volume_loss": ["Mg-5Gd=measured.csv"],
     "solid": "part.step",
+    "image": "scan.tif",
+    "voxel": ["5um"],
+    "threshold": 12000,
+    "label": 1,
     "step": "6h",
     "coating": "factor=0.1,lifetime=28d",
     "keep": ["liquid"],
