@@ -26,6 +26,7 @@ from peri.engine.march.marching import TimeStepping
 from peri.engine.omission import Omission
 from peri.engine.surface.rate_classes import CellExposure
 from peri.omissions.planning import corrode_lean, plan_omissions
+from pipeline.geometry.cell_shares import cell_shares
 from pipeline.geometry.surface import Solid
 from pipeline.geometry.voxels import metal_fraction
 from pipeline.scene.resolve import rate_law
@@ -208,10 +209,12 @@ def degradation_rate(
 def metal_of(
     scene: Scene, lattice: Lattice, solid: Solid
 ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-    """Which nodes lie in the solid, and the metal share of each cell."""
-    return metal_fraction(
-        solid, lattice.origin, lattice.spacing, lattice.shape, samples=scene.lattice.samples
-    )
+    """Which nodes lie in the solid, and the metal share of each cell: exact for rate classes."""
+    place = (lattice.origin, lattice.spacing, lattice.shape)
+    if scene.corrosion.classes:
+        share = cell_shares(solid.points, solid.triangles, *place)
+        return metal_fraction(solid, *place, samples=1)[0], share
+    return metal_fraction(solid, *place, samples=scene.lattice.samples)
 
 
 def march_omissions(scene: Scene, solid: Solid) -> list[tuple[str, Omission]]:

@@ -19,8 +19,8 @@ from peri.engine.surface.rate_classes import (
     CellExposure,
     RateClasses,
     cell_exposure,
-    default_finest,
 )
+from peri.engine.surface.sampling import default_finest
 from peri.engine.surface.triangles import Surface
 from pipeline.geometry.surface import Solid
 

@@ -12,6 +12,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 Array = NDArray[Any]
+Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -280,31 +281,46 @@ def signed_distance(
     return depth * reach, inward
 
 
+@njit(cache=True, inline="always")
+def _dot(a: Triple, b: Triple) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@njit(cache=True, inline="always")
+def _less(a: Triple, b: Triple) -> Triple:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@njit(cache=True, inline="always")
+def _on(a: Triple, s: float, along: Triple) -> Triple:
+    return a[0] + s * along[0], a[1] + s * along[1], a[2] + s * along[2]
+
+
 @njit(cache=True)
-def _closest(a: Array, b: Array, c: Array, x: Array) -> tuple[Array, int]:
+def _closest(a: Triple, b: Triple, c: Triple, x: Triple) -> tuple[Triple, int]:
     """Closest point of a triangle and its feature: 0 inside, 1..3 edges, 4..6 vertices."""
-    ab, ac, ap = b - a, c - a, x - a
-    d1, d2 = ab.dot(ap), ac.dot(ap)
+    ab, ac, ap = _less(b, a), _less(c, a), _less(x, a)
+    d1, d2 = _dot(ab, ap), _dot(ac, ap)
     if d1 <= 0 and d2 <= 0:
         return a, 4
-    bp = x - b
-    d3, d4 = ab.dot(bp), ac.dot(bp)
+    bp = _less(x, b)
+    d3, d4 = _dot(ab, bp), _dot(ac, bp)
     if d3 >= 0 and d4 <= d3:
         return b, 5
     if d1 * d4 - d3 * d2 <= 0 and d1 >= 0 and d3 <= 0:
-        return a + d1 / (d1 - d3) * ab, 1
-    cp = x - c
-    d5, d6 = ab.dot(cp), ac.dot(cp)
+        return _on(a, d1 / (d1 - d3), ab), 1
+    cp = _less(x, c)
+    d5, d6 = _dot(ab, cp), _dot(ac, cp)
     if d6 >= 0 and d5 <= d6:
         return c, 6
     if d5 * d2 - d1 * d6 <= 0 and d2 >= 0 and d6 <= 0:
-        return a + d2 / (d2 - d6) * ac, 3
+        return _on(a, d2 / (d2 - d6), ac), 3
     va = d3 * d6 - d5 * d4
     if va <= 0 and d4 - d3 >= 0 and d5 - d6 >= 0:
-        return b + (d4 - d3) / ((d4 - d3) + (d5 - d6)) * (c - b), 2
+        return _on(b, (d4 - d3) / ((d4 - d3) + (d5 - d6)), _less(c, b)), 2
     vb, vc = d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
     scale = 1.0 / (va + vb + vc)
-    return a + vb * scale * ab + vc * scale * ac, 0
+    return _on(_on(a, vb * scale, ab), vc * scale, ac), 0
 
 
 @njit(cache=True, parallel=True)
@@ -337,7 +353,7 @@ def _nearest(
             box_low, box_high, centre, radius, starts, items, first, lower, cell, shape, reach
         )
         for i in range(begin, end):
-            x = points[i]
+            x = (points[i, 0], points[i, 1], points[i, 2])
             best = reach
             bound = reach
             for t in near:
@@ -348,15 +364,19 @@ def _nearest(
                 limit = min(best, bound) + radius[t]
                 if gx * gx + gy * gy + gz * gz > limit * limit * (1.0 + 1e-12):
                     continue
-                y, feature = _closest(corners[t, 0], corners[t, 1], corners[t, 2], x)
-                away = y - x
-                distance = math.sqrt(away.dot(away))
+                one = (corners[t, 0, 0], corners[t, 0, 1], corners[t, 0, 2])
+                two = (corners[t, 1, 0], corners[t, 1, 1], corners[t, 1, 2])
+                three = (corners[t, 2, 0], corners[t, 2, 1], corners[t, 2, 2])
+                y, feature = _closest(one, two, three, x)
+                away = _less(y, x)
+                distance = math.sqrt(_dot(away, away))
                 if distance < best or (distance == best and not depth[i] == depth[i]):
                     best = distance
-                    inside = away.dot(pseudo[t, feature]) >= 0.0
+                    p = (pseudo[t, feature, 0], pseudo[t, feature, 1], pseudo[t, feature, 2])
+                    inside = _dot(away, p) >= 0.0
                     depth[i] = distance if inside else -distance
-                    for a in range(3):
-                        inward[i, a] = -normal[t, a]
+                    for k in range(3):
+                        inward[i, k] = -normal[t, k]
                         if distance > 1e-12:
-                            inward[i, a] = (-away[a] if inside else away[a]) / distance
+                            inward[i, k] = (-away[k] if inside else away[k]) / distance
     return depth, inward
