@@ -96,6 +96,7 @@ BELOW = {
         "potential": set(),
         "chemistry": {"liquid"},
         "nernst_planck": {"chemistry", "fluxes", "liquid"},
+        "stored": {"chemistry", "liquid", "nernst_planck"},
     },
     "pipeline": {
         "scene": set(),

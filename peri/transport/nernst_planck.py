@@ -99,6 +99,8 @@ class QuasiSteadyLiquid:
         more than one node, or a release that carries a charge.
     """
 
+    needs_a_way_out = True
+
     def __init__(
         self,
         space: LiquidSpace,
@@ -113,7 +115,7 @@ class QuasiSteadyLiquid:
         self.space, self.medium, self.chemistry = space, medium, chemistry
         self.options = options or TransportOptions()
         self.relative = self.options.tolerance
-        lost = int(space.cut_off().sum())
+        lost = int(space.cut_off().sum()) if self.needs_a_way_out else 0
         if lost:
             raise ValueError(
                 f"liquid: {lost} nodes are cut off from the refreshed medium; a quasi-steady "
@@ -146,7 +148,8 @@ class QuasiSteadyLiquid:
             for i, mineral in enumerate(chemistry.minerals)
         ]
         self._groups = self._charge_groups()
-        self.plain = space.system()
+        if self.needs_a_way_out:
+            self.plain = space.system()
         self.inert = self._inert()
 
     def _charge_groups(self) -> list[tuple[int, float, np.ndarray]]:

@@ -1,0 +1,275 @@
+"""A liquid with a content of its own: transients, pockets, and closed vessels.
+
+A step of length tau from the totals T_old of every component to T = sum_k nu_k C_k solves
+
+    c (T - T_old) / tau + c A Pi = c (s q + N - sum_m nu_m r_m),     Pi = sum_k nu_k D_k C_k
+
+(nernst_planck.py without the first term is its limit for long steps).  T is no linear function of
+Pi, but lies between Pi over the largest and the smallest diffusivity, so a shift sigma = 1/(D tau)
+with a D between them takes most of it:
+
+    (A + sigma) X = N - (T - T_old) / tau + sigma (Pi - Pi_medium),
+    Pi = Pi_medium + s g + X - sum_m nu_m G_m,   (A + sigma) g = q,   (A + sigma) G_m = r_m.
+
+Minerals are solved as at rest, with A + sigma in the place of A.  What the right side of X still
+takes from the last round is iterated, with Anderson's mixing (Walker and Ni 2011): without it the
+error of the slowest component falls by no more than (K - 1) / (K + 1) a round, K the ratio of the
+largest to the smallest diffusivity.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+
+import numpy as np
+
+from peri.engine.solvers import ConvergenceError
+from peri.transport.chemistry.composition import CompositionError
+from peri.transport.chemistry.speciation import Solution
+from peri.transport.liquid import LiquidSpace, LiquidState
+from peri.transport.nernst_planck import QuasiSteadyLiquid, TransportOptions
+
+_MAXIMUM_ROUNDS = 200
+_MEMORY = 8
+"""Rounds that Anderson's mixing looks back on; more no longer help, fewer take more rounds."""
+_ROUND_OFF = 5e-14
+"""Of the largest content per step: a residual below this is round-off (measured 2e-14 in sbf)."""
+
+_BOND_ROUND_OFF = 1e-15
+_SATURATION = 2e-12
+"""To which share the composition of a saturated node is known (speciation.saturate)."""
+
+
+class StoredLiquid(QuasiSteadyLiquid):
+    """The composition of the liquid after a step, from its content before.
+
+    Parameters and errors as QuasiSteadyLiquid, but no node needs a way out; closures
+    "electroneutral" and "none"; the medium needs an ion that takes part in no reaction.  Where
+    nothing is refreshed, `medium` is what the liquid was made from: its activity coefficients hold
+    everywhere.
+    """
+
+    needs_a_way_out = False
+
+    def __init__(
+        self,
+        space: LiquidSpace,
+        medium: Solution,
+        releases: Mapping[str, float],
+        surface: np.ndarray,
+        options: TransportOptions | None = None,
+    ) -> None:
+        super().__init__(space, medium, releases, surface, options)
+        if self.options.closure not in ("electroneutral", "none"):
+            raise ValueError(
+                f"closure: '{self.options.closure}' with a liquid that stores; allowed are "
+                "electroneutral, none"
+            )
+        if self.inert < 0:
+            raise ValueError(
+                "medium: it holds no ion that takes part in no reaction, which a liquid that "
+                "stores needs to be neutral"
+            )
+        self._open_space = space
+        # What minerals hold may be far more than what moves.
+        self.relative = 1e-2 * self.options.tolerance
+        d = self.chemistry.diffusivity
+        self._slowness = 0.5 * (1.0 / d.min() + 1.0 / d.max())
+
+    def content(self, state: LiquidState) -> np.ndarray:
+        """Totals of the components, (E, n), mol/m3."""
+        return self.chemistry.stoichiometry.T @ state.concentration
+
+    def _shift(self, step: float) -> None:
+        """Put A + sigma in the place of A."""
+        space = copy.copy(self._open_space)
+        sigma = self._slowness / step
+        space.degree = space.degree + sigma
+        space.exit = space.exit + sigma
+        self.space, self.sigma, self.plain = space, sigma, space.system()
+
+    def advance(
+        self,
+        source: np.ndarray,
+        content: np.ndarray,
+        step: float,
+        start: LiquidState,
+        amounts: np.ndarray | None = None,
+        *,
+        span: float | None = None,
+    ) -> LiquidState:
+        """Return the liquid after a step.
+
+        Parameters
+        ----------
+        source : (n,) metal released into each node, mol/m3/s
+        content : (E, n) totals before, mol/m3
+        step : s
+        start : a state to begin with
+        amounts : (M, n) minerals before, mol/m3
+        span : s, the time over which no more than `amounts` can dissolve (default: step)
+
+        Raises
+        ------
+        ConvergenceError, CompositionError
+            Where a shorter step will do.
+        """
+        self._shift(step)
+        space, options = self.space, self.options
+        there = np.zeros((len(self.minerals), space.n)) if amounts is None else amounts
+        state = start.copy()
+        offset = self.target(state) - self.bulk
+        right = space.volume * source
+        held = np.abs(content).max() + sum(
+            np.abs(mineral.nu).max() * amount.max(initial=0.0)
+            for mineral, amount in zip(self.minerals, there, strict=True)
+        )
+        floor = _ROUND_OFF * held * float(np.linalg.norm(space.volume)) / step
+        absolute = max(options.tolerance * float(np.linalg.norm(right)), floor)
+        state.release, used = space.solve(self.plain, right, start.release, 0.1 * absolute)
+        state.iterations += used
+        # The same composition in the new split: what is not release or mineral is X.
+        state.migrated = offset - self.released[:, None] * state.release
+        state.extents[:] = 0.0
+        for i, mineral in enumerate(self.minerals):
+            if not mineral.in_equilibrium:
+                state.active[i][:] = False
+        self.compose(state)
+        span = step if span is None else span
+        self._grow(state, there, span, 0.1 * absolute)
+        self._iterate(state, content, step, there, span, absolute)
+        return state
+
+    def _iterate(
+        self,
+        state: LiquidState,
+        content: np.ndarray,
+        step: float,
+        there: np.ndarray,
+        span: float,
+        absolute: float,
+    ) -> None:
+        """Rounds of X and the potential, until every component's residual is small."""
+        space, neutral = self.space, self.options.closure == "electroneutral"
+        z2 = self.chemistry.charge**2
+        wanted = np.full(content.shape[0], absolute)
+        for mineral, amount in zip(self.minerals, there, strict=True):
+            moved = float(np.linalg.norm(space.volume * amount)) / span
+            wanted = np.maximum(wanted, 10.0 * self.relative * np.abs(mineral.nu) * moved)
+        inert = self.chemistry.diffusivity[self.inert]
+        closed = not self._open_space.exit.any()
+        stiffness = float(np.linalg.norm(space.volume * space.degree))
+        mixing = _Anderson()
+        size = np.abs(self.content(state)).max(axis=1) / self._slowness
+        size = np.maximum(size, 1e-6 * size.max())
+        for round_ in range(_MAXIMUM_ROUNDS):
+            support = z2 @ state.concentration
+            # What it does to the inert ion's balance if that takes up the charge that is left.
+            charge = float(np.linalg.norm(space.outflow(inert * state.net_charge)))
+            psi = state.psi
+            # A potential that follows round-off would only stir the ions.
+            if neutral and charge > 0.1 * absolute:
+                psi = psi + state.net_charge / support
+                if closed:
+                    psi = psi - psi.mean()
+            trial = copy.copy(state)
+            trial.psi = psi
+            inflow = self.migrate(trial) if psi.any() else np.zeros_like(content)
+            change = self.target(state) - self.bulk
+            right = space.volume * (
+                inflow - (self.content(state) - content) / step + self.sigma * change
+            )
+            residual = np.array(
+                [
+                    float(np.linalg.norm(r - space.outflow(x)))
+                    for r, x in zip(right, state.migrated, strict=True)
+                ]
+            )
+            state.sweeps = round_ + 1
+            # Sums over bonds are exact to so much of their terms.
+            moved_by_psi = change + self.bulk if neutral else change
+            terms = np.maximum(np.abs(state.migrated), np.abs(moved_by_psi)).max(axis=1)
+            noise = _BOND_ROUND_OFF * stiffness * terms
+            for mineral, active in zip(self.minerals, state.active, strict=True):
+                if mineral.in_equilibrium and active.any():
+                    scarcest = np.abs(change + self.bulk).max(axis=1)[mineral.nu != 0].min()
+                    limit = _SATURATION * stiffness * scarcest
+                    noise = np.maximum(noise, np.abs(mineral.nu) * limit)
+            enough = np.maximum(wanted, noise)
+            if (residual <= enough).all() and not (neutral and charge > enough[self.inert]):
+                state.psi = psi
+                if neutral:
+                    self._neutralise(state)
+                return
+            new = np.empty_like(state.migrated)
+            for e, r in enumerate(right):
+                tight = max(0.1 * enough[e], 1e-3 * residual[e])
+                new[e], used = space.solve(self.plain, r, state.migrated[e], tight)
+                state.iterations += used
+            old = np.vstack([state.migrated / size[:, None], state.psi])
+            found = np.vstack([new / size[:, None], psi])
+            mixed = mixing.next(old.ravel(), found.ravel()).reshape(old.shape)
+            before = state.migrated.copy()
+            state.migrated, state.psi = mixed[:-1] * size[:, None], mixed[-1]
+            try:
+                self._compose_between(state, before)
+            except CompositionError:
+                state.migrated, state.psi = new, psi
+                mixing = _Anderson()
+                self._compose_between(state, before)
+            self._grow(state, there, span, 0.1 * absolute)
+        raise ConvergenceError(
+            f"liquid: the balance of a component is still off by {residual.max():.2g} after "
+            f"{_MAXIMUM_ROUNDS} rounds, {wanted.max():.2g} wanted ({charge:.2g} from "
+            "its charge); a shorter step will do"
+        )
+
+    def _neutralise(self, state: LiquidState) -> None:
+        """Let the inert ion take up what charge is left: less than its balance is good for."""
+        e, z = self.inert, self.chemistry.charge[self.inert]
+        state.migrated[e] -= self.chemistry.diffusivity[e] * state.net_charge / z
+        self.compose(state)
+
+    def stored_balance(
+        self, state: LiquidState, source: np.ndarray, content: np.ndarray, step: float
+    ) -> np.ndarray:
+        """Relative error of every component's balance over a step, (E,).
+
+        Released - precipitated - gained by the liquid - left through the boundary, over the sum
+        of their magnitudes, or over what the liquid holds where that is more.
+        """
+        space = self._open_space
+        gained = self.released * space.total(source)
+        formed = sum(
+            (m.nu * space.total(r) for m, r in zip(self.minerals, state.rates, strict=True)),
+            np.zeros(gained.shape),
+        )
+        change = self.target(state) - self.bulk
+        left = np.array([space.total(space.exit * c) for c in change])
+        carried = np.array([space.total(v) for v in self.migrate(state)])
+        stored = np.array([space.total(v) for v in (self.content(state) - content) / step])
+        scale = np.abs(gained) + np.abs(formed) + np.abs(left) + np.abs(carried) + np.abs(stored)
+        held = np.array([space.total(np.abs(v)) for v in content]) / step
+        reference = np.maximum(held, space.total(np.abs(source)))
+        return np.abs(gained + carried - formed - left - stored) / np.maximum(scale, reference)
+
+
+class _Anderson:
+    """Mixing of the last rounds of a fixed point x = f(x) so that the residual is least."""
+
+    def __init__(self) -> None:
+        self._x: list[np.ndarray] = []
+        self._f: list[np.ndarray] = []
+
+    def next(self, x: np.ndarray, found: np.ndarray) -> np.ndarray:
+        """The next x, from this one and f(x)."""
+        self._x.append(x)
+        self._f.append(found - x)
+        del self._x[: -_MEMORY - 1], self._f[: -_MEMORY - 1]
+        if len(self._x) == 1:
+            return found
+        dx = np.diff(np.array(self._x), axis=0)
+        df = np.diff(np.array(self._f), axis=0)
+        weight = np.linalg.lstsq(df.T, self._f[-1], rcond=1e-12)[0]
+        return found - weight @ (dx + df)

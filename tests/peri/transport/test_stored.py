@@ -1,0 +1,123 @@
+"""A liquid that stores: known transients, closed vessels to their end, balances, refusals."""
+
+import numpy as np
+import pytest
+
+from peri.engine.influence import diffusion_stencil
+from peri.engine.lattice import box_lattice
+from peri.engine.solvers import ConvergenceError
+from peri.transport.chemistry.species import Chemistry
+from peri.transport.liquid import LiquidSpace
+from peri.transport.nernst_planck import QuasiSteadyLiquid, TransportOptions
+from peri.transport.stored import StoredLiquid
+from tests.peri.transport.chemistries import SALINE, SBF, chemistry, without
+from tests.peri.transport.columns import MAGNESIUM, medium_of
+
+LENGTH = 0.5e-3
+
+
+def vessel(
+    chem: Chemistry, totals: dict, nodes: int = 20, m: int = 2, opened: bool = False, **options
+) -> tuple[StoredLiquid, np.ndarray]:
+    """A closed column (or one that ends in medium), and the source of a unit flux at its start."""
+    h, more = LENGTH / nodes, m if opened else 0
+    lattice = box_lattice([0.0], [(nodes + more) * h], h)
+    held = np.arange(nodes + more) >= nodes
+    space = LiquidSpace(diffusion_stencil(lattice, m * h), np.ones(nodes + more, bool), held)
+    surface = np.arange(nodes) == 0
+    options = TransportOptions(**options)
+    liquid = StoredLiquid(space, medium_of(chem, totals), MAGNESIUM, surface, options)
+    return liquid, surface / h
+
+
+@pytest.mark.parametrize(
+    ("salt", "ambipolar"),
+    [({"Na": 100.0, "Cl": 100.0}, 1.60708e-9), ({"Cl": 100.0}, 3.33321e-9)],
+    ids=["NaCl", "HCl"],
+)
+def test_a_salt_diffuses_with_its_ambipolar_diffusivity(salt: dict, ambipolar: float) -> None:
+    chem = chemistry("nacl", 25.0)
+    liquid, _ = vessel(chem, salt, m=1)
+    start = liquid.rest()
+    x = (np.arange(20) + 0.5) / 20
+    wave = np.cos(np.pi * x)
+    content = liquid.content(start) * (1.0 + 1e-3 * wave)
+    step = 20.0
+    state = liquid.advance(np.zeros(20), content, step, start)
+    moving = [chem.components.index(n) for n in ("Cl", "Na" if "Na" in salt else "H")]
+    left = (liquid.content(state) - liquid.content(start))[moving] @ wave
+    left /= (content - liquid.content(start))[moving] @ wave
+    # Nearest neighbours: the wave is an eigenvector, and backward Euler divides by 1 + D k^2 tau.
+    k2 = (2 - 2 * np.cos(np.pi / 20)) / (LENGTH / 20) ** 2
+    found = (1 / left - 1) / (k2 * step)
+    assert found == pytest.approx(ambipolar, rel=1e-3)  # measured 2e-6 (NaCl), 1e-4 (HCl)
+    assert (np.abs(state.net_charge) < 1e-12 * 100).all()
+    assert np.abs(state.psi).max() > 1e-5
+
+
+@pytest.mark.parametrize("closure", ["none", "electroneutral"])
+def test_brucite_in_a_closed_vessel_ends_in_equilibrium(closure: str) -> None:
+    chem = chemistry("nacl", 37.0, ("brucite",))
+    liquid, unit = vessel(chem, SALINE, closure=closure)
+    state = liquid.rest()
+    content, amounts = liquid.content(state), np.zeros((1, 20))
+    begun = content.copy()
+    released = 0.0
+    for n in range(8):
+        source = (1e-6 if n < 1 else 0.0) * unit
+        state = liquid.advance(source, content, 1000.0, state, amounts)
+        assert liquid.stored_balance(state, source, content, 1000.0).max() < 1e-9
+        strength = 0.5 * chem.charge**2 @ state.concentration
+        if closure == "electroneutral":
+            assert (np.abs(state.net_charge) <= 1e-12 * strength).all()
+        content = liquid.content(state)
+        gone = state.rates == -amounts / 1000.0
+        amounts = np.where(gone, 0.0, amounts + 1000.0 * state.rates)
+        assert amounts.min() >= 0
+        assert state.concentration.min() > 0
+        released += 1000.0 * source.mean()
+    mg = chem.components.index("Mg")
+    # PHREEQC: pH 10.104, Mg 0.214 mol/m3 (its activity coefficients: 0.02 in pH, 2 %).
+    assert liquid.ph(state) == pytest.approx(10.104, abs=0.021)
+    assert content[mg] == pytest.approx(0.214, rel=0.02)
+    change = (content - begun).mean(axis=1)
+    change += chem.minerals[0].stoichiometry * amounts.mean()
+    expected = liquid.released * released
+    # Elements over the whole run, minerals included: measured 1e-10 of what was released.
+    assert change == pytest.approx(expected, abs=1e-9 * released)
+    assert amounts.mean() > 1.7
+
+
+def test_long_steps_end_at_rest_and_short_ones_lag_behind() -> None:
+    chem = chemistry("sbf")
+    liquid, unit = vessel(chem, SBF, opened=True)
+    quasi = QuasiSteadyLiquid(liquid.space, liquid.medium, MAGNESIUM, unit > 0)
+    at_rest = quasi.solve(1e-6 * unit)
+    start = liquid.rest()
+    content = liquid.content(start)
+    rise = at_rest.concentration - start.concentration
+    for step, lowest, highest in ((1.0, 0.0, 0.4), (100.0, 0.4, 0.95), (1e7, 0.9999, 1.0001)):
+        state = liquid.advance(1e-6 * unit, content, step, start)
+        assert liquid.stored_balance(state, 1e-6 * unit, content, step).max() < 1e-10
+        share = (state.concentration - start.concentration)[:, 0] / rise[:, 0]
+        assert lowest < share[chem.index("Mg")] < highest
+    assert state.psi == pytest.approx(at_rest.psi, rel=1e-3, abs=1e-3 * at_rest.psi.max())
+
+
+def test_a_vessel_left_alone_stays_as_it_is() -> None:
+    liquid, unit = vessel(chemistry("sbf"), SBF)
+    start = liquid.rest()
+    state = liquid.advance(0 * unit, liquid.content(start), 86400.0, start)
+    assert state.concentration == pytest.approx(start.concentration, rel=1e-10)
+    assert state.sweeps == 1
+
+
+def test_what_cannot_be_stored_is_refused() -> None:
+    with pytest.raises(ValueError, match="closure: 'poisson' with a liquid that stores"):
+        vessel(chemistry("nacl"), SALINE, closure="poisson")
+    with pytest.raises(ValueError, match="no ion that takes part in no reaction"):
+        vessel(without("sbf", ()), {"HCO3": 10.0, "Ca": 5.0})
+    liquid, unit = vessel(chemistry("nacl"), {"Na": 1e-3, "Cl": 1e-3})
+    start = liquid.rest()
+    with pytest.raises((ConvergenceError, ArithmeticError)):
+        liquid.advance(1.0 * unit, liquid.content(start), 1e6, start)
