@@ -1,7 +1,7 @@
 """The command `perilife`: parses, calls the stages, prints results and one-sentence errors.
 
 Exit codes: 0 done, 1 a computation failed, 2 the input cannot be used (one sentence on stderr,
-nothing half-written), 130 interrupted (the run folder can be resumed).
+nothing half-written), 130 interrupted (the run folder can be resumed), 141 nobody reads the output.
 """
 
 import argparse
@@ -31,6 +31,7 @@ from pipeline.scenes.command import add_scenes_options
 from pipeline.studies.command import add_study_options
 
 INTERRUPTED = 130
+BROKEN_PIPE = 141
 
 OF_THE_RUN = ("out", "quiet", "resume")
 """What a scene file says of its own run, not of a design or a fit."""
@@ -55,6 +56,7 @@ def build_parser() -> argparse.ArgumentParser:
 
     run = add("run", _run, "the whole life cycle: geometry, corrosion, damage, tensile test")
     add_run_options(run)
+    _add_json_option(run)
     add_init_options(add("init", _init, "print a scene file with every option, for `perilife run`"))
     geometry = add("geometry", _geometry, "begin a run folder: solid and mesh of a scene")
     add_scene_options(geometry)
@@ -81,7 +83,7 @@ def build_parser() -> argparse.ArgumentParser:
     plan = add("plan", _plan, "what a run would compute, what not and why, time and memory")
     add_scene_options(plan)
     add_machine_options(plan)
-    plan.add_argument("--json", action="store_true", help="as one JSON object")
+    _add_json_option(plan)
     take_scene_file(plan, every_option)
     calibrate = add("calibrate", _calibrate, "constants from measured volume loss, with doubts")
     add_scene_options(calibrate, immersion=False)
@@ -98,16 +100,20 @@ def build_parser() -> argparse.ArgumentParser:
     add_folder_options(campaign)
     scenes = add("scenes", _scenes, "pits, crevices and galvanic couples: list them, or run one")
     add_scenes_options(scenes)
-    add("alloys", _alloys, "the alloys and parameter sets that are known")
+    _add_json_option(add("alloys", _alloys, "the alloys and parameter sets that are known"))
     bench = add("bench", _bench, "benchmarks of this machine")
     bench.add_argument("name", metavar="NAME", help="name of a benchmark, or list")
-    bench.add_argument("--json", action="store_true", help="as one JSON object")
+    _add_json_option(bench)
     bench.add_argument("--small", action="store_true", help="a small version, to see it work")
     study = add("study", _study, "error against run time, and the tables behind the presets")
     add_study_options(study)
     completion = add("completion", _completion, "a script that completes commands in a shell")
     add_completion_options(completion)
     return parser
+
+
+def _add_json_option(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -129,6 +135,9 @@ def main(arguments: list[str] | None = None) -> int:
         return options.action(options)
     except KeyboardInterrupt:
         return _interrupted(options)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # nobody reads what is left
+        return BROKEN_PIPE
     except (ValueError, OSError, MemoryError) as error:
         if getattr(options, "verbose", False):
             logging.getLogger(__name__).exception("the refusal below came from here")
@@ -168,11 +177,14 @@ def _interrupted(options: argparse.Namespace) -> int:
 
 def _run(options: argparse.Namespace) -> int:
     from pipeline.record.progress import progress_for
-    from pipeline.run import carry_out, resolved
+    from pipeline.run import carry_out, resolved, told
 
     scene, solid = resolved(options)
-    with progress_for(sys.stderr, options.quiet) as progress:
+    with progress_for(sys.stderr, options.quiet, options.log) as progress:
         folder, rows = carry_out(options, scene, solid, progress)
+    if options.json:
+        print(json.dumps(told(folder, scene, rows), indent=2))
+        return 0
     print_summary(rows)
     if options.samples is not None:
         from pipeline.record.bands import BANDS_FILE, print_bands, read_bands
@@ -331,24 +343,9 @@ def _scenes(options: argparse.Namespace) -> int:
 
 
 def _alloys(options: argparse.Namespace) -> int:
-    import perilife_data
+    from pipeline.known import known, print_known
 
-    for name in perilife_data.list_alloys():
-        print(f"{name:12s} {perilife_data.load_alloy(name).title}")
-    print()
-    for name in perilife_data.list_parameter_sets():
-        parameters = perilife_data.load_parameter_set(name)
-        print(f"{name:24s} {parameters.title} ({', '.join(parameters.alloys)})")
-    print("\nother records of hardening (--hardening)")
-    for name in perilife_data.list_hardening():
-        print(f"{name:26s} {perilife_data.load_hardening(name).title}")
-    print("\nlosses that others printed (perilife_data.load_experiment)")
-    for name in perilife_data.list_experiments():
-        experiment = perilife_data.load_experiment(name)
-        for label, loss in experiment.results.items():
-            found = [str(q) for q in (loss.degradation_rate, loss.mass_loss) if q is not None]
-            after = "" if loss.after is None else f" after {loss.after}"
-            print(f"{name:16s} {label.replace('_', ' ')}: {found[0]}{after} ({experiment.title})")
+    print(json.dumps(known(), indent=2)) if options.json else print_known()
     return 0
 
 

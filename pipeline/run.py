@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from pipeline.campaigns.options import add_sample_options, add_until_options
@@ -46,6 +47,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     add_machine_options(parser)
     add_sample_options(parser)
     add_until_options(parser)
+    parser.add_argument("--log", metavar="FILE", help="add what happens to it, as JSON lines")
 
 
 def scene_of(options: argparse.Namespace) -> Scene:
@@ -119,3 +121,24 @@ def carry_out(
     shared["tolerance"] = options.strength_tolerance
     shared["surrogate"] = options.surrogate
     return folder, run_with_bands(scene, folder.path, options.samples, **shared)
+
+
+def told(folder: RunFolder, scene: Scene, rows: Sequence[SummaryRow]) -> dict[str, object]:
+    """What a run found, for a program: rows of summary.csv, bands, when it is too weak, files."""
+    from dataclasses import asdict
+
+    from pipeline.record.bands import BANDS_FILE, read_bands
+    from pipeline.record.summary import columns
+    from pipeline.record.until import UNTIL_FILE, read_until
+
+    report = folder.report_file
+    return {
+        "folder": str(folder.path.absolute()),
+        "report": str(report.absolute()) if report.exists() else None,
+        "scene_hash": scene.hash(),
+        "rows": [
+            {name: getattr(row, field) for field, name in columns(row.load).items()} for row in rows
+        ],
+        "bands": [asdict(row) for row in read_bands(folder.path / BANDS_FILE)],
+        "until": [asdict(row) for row in read_until(folder.path / UNTIL_FILE)],
+    }

@@ -125,6 +125,7 @@ BELOW = {
             "compare",
             "scenes",
         },
+        "known": set(),
         "run": {"scene", "record", "stages", "life_cycle", "campaigns"},
         "api": {"scene", "record", "stages", "report", "export", "run"},
         "cli": {
@@ -137,6 +138,7 @@ BELOW = {
             "campaigns",
             "benches",
             "export",
+            "known",
             "run",
             "compare",
             "completion",

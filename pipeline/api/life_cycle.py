@@ -72,7 +72,7 @@ class LifeCycle:
         if options.out is None:
             options.out, options.resume = str(_folder(scene)), True
         quiet = options.quiet or not sys.stderr.isatty()
-        with progress_for(sys.stderr, quiet) as progress:
+        with progress_for(sys.stderr, quiet, options.log) as progress:
             folder, _ = carry_out(options, scene, solid, progress)
         return Results(folder.path)
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from pipeline.api.table import Table
     from pipeline.export.state import CorrodedState
     from pipeline.record.run_results import RunResults
+    from pipeline.record.until import UntilRow
     from pipeline.scene.scene import Scene
 
 
@@ -141,17 +142,26 @@ class Results:
         rows = [row for row in parameter_rows(self.scene) if row.alloy in ("", *self.alloys)]
         return references(rows)
 
+    @property
+    def until(self) -> list[UntilRow]:
+        """When it becomes too weak, where that was asked for (`until_left`, `until_force`)."""
+        from pipeline.record.until import UNTIL_FILE, read_until
+
+        rows = read_until(self.folder / UNTIL_FILE)
+        return [row for row in rows if row.alloy in self.alloys and row.hold in self.holds]
+
     def headlines(self) -> list[str]:
-        """The answer in a sentence for each alloy and way of holding."""
+        """The answer in a sentence for each alloy and way of holding, and when it is too weak."""
         from pipeline.report.wording import headline
 
         load = LOADS[self.scene.tensile.load]
-        return [
+        said = [
             headline(alloy, load)
             for hold in self.holds
             for alloy in self._read.held[hold]
             if alloy.name in self.alloys
         ]
+        return said + [row.in_words() for row in self.until]
 
     @cached_property
     def _read(self) -> RunResults:

@@ -1,9 +1,17 @@
-"""How a run tells what it is doing: bars on a terminal, plain lines elsewhere, or nothing."""
+"""How a run tells what it is doing: bars on a terminal, plain lines elsewhere, or nothing.
 
+To a person, and, as JSON lines, to a program.
+"""
+
+import json
 import sys
 import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
 from typing import TextIO
 
+from pipeline.record.run_folder import utc_now
 from pipeline.scene.units import format_seconds
 
 
@@ -44,19 +52,24 @@ class LineProgress(Progress):
         self._interval = interval
         self._begin = time.monotonic()
         self._last: dict[str, float] = {}
+        self._started: dict[str, float] = {}
 
     def _line(self, text: str) -> None:
         print(f"[{time.monotonic() - self._begin:7.1f} s] {text}", file=self._stream, flush=True)
 
     def started(self, key: str) -> None:
-        self._last[key] = time.monotonic()
+        self._started[key] = self._last[key] = time.monotonic()
         self._line(f"{key}: started")
 
     def advanced(self, key: str, fraction: float, text: str = "") -> None:
         now = time.monotonic()
         if now - self._last.get(key, -self._interval) >= self._interval:
             self._last[key] = now
-            self._line(f"{key}: {100 * fraction:.0f} % {text}".rstrip())
+            left = ""
+            if 0 < fraction < 1 and key in self._started:
+                seconds = (now - self._started[key]) * (1 - fraction) / fraction
+                left = f", about {format_seconds(seconds)} left"
+            self._line(f"{key}: {100 * fraction:.0f} %{left} {text}".rstrip())
 
     def finished(self, key: str, seconds: float) -> None:
         self._line(f"{key}: done in {format_seconds(seconds)}")
@@ -73,7 +86,7 @@ class TerminalProgress(Progress):
 
     def __init__(self) -> None:
         from rich.console import Console
-        from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+        from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
         from rich.progress import Progress as Bars
 
         self._bars = Bars(
@@ -81,6 +94,8 @@ class TerminalProgress(Progress):
             BarColumn(),
             TextColumn("{task.percentage:3.0f} %"),
             TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
             TextColumn("{task.fields[text]}"),
             console=Console(stderr=True),
         )
@@ -113,8 +128,87 @@ class TerminalProgress(Progress):
         self._bars.console.print(text)
 
 
-def progress_for(stream: TextIO, quiet: bool = False) -> Progress:
-    """Bars when `stream` is a terminal, lines when it is not, nothing when `quiet`."""
+class LogProgress(Progress):
+    """One JSON object a line and event, added to a file: `at` (UTC), `event`, and what it is of.
+
+    `what`: the piece of work; `fraction` of it that is done, at most one such line a second and
+    piece; `seconds` that it took; `text`.
+    """
+
+    def __init__(self, path: Path | str, interval: float = 1.0):
+        self._file = open(path, "a", encoding="utf-8")
+        self._interval = interval
+        self._last: dict[str, float] = {}
+
+    def __exit__(self, *exception: object) -> None:
+        self._file.close()
+
+    def _line(self, event: str, **values: object) -> None:
+        entry = {"at": utc_now(), "event": event, **values}
+        print(json.dumps(entry, ensure_ascii=False), file=self._file, flush=True)
+
+    def started(self, key: str) -> None:
+        self._line("started", what=key)
+
+    def advanced(self, key: str, fraction: float, text: str = "") -> None:
+        now = time.monotonic()
+        if now - self._last.get(key, -self._interval) >= self._interval:
+            self._last[key] = now
+            self._line("advanced", what=key, fraction=round(fraction, 4), text=text)
+
+    def finished(self, key: str, seconds: float) -> None:
+        self._line("finished", what=key, seconds=round(seconds, 3))
+
+    def reused(self, key: str) -> None:
+        self._line("reused", what=key)
+
+    def note(self, text: str) -> None:
+        self._line("note", text=text)
+
+
+class SeveralProgresses(Progress):
+    """Hands everything on to others."""
+
+    def __init__(self, others: Sequence[Progress]):
+        self._others = others
+        self._open = ExitStack()
+
+    def __enter__(self) -> "SeveralProgresses":
+        for other in self._others:
+            self._open.enter_context(other)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._open.close()
+
+    def started(self, key: str) -> None:
+        for other in self._others:
+            other.started(key)
+
+    def advanced(self, key: str, fraction: float, text: str = "") -> None:
+        for other in self._others:
+            other.advanced(key, fraction, text)
+
+    def finished(self, key: str, seconds: float) -> None:
+        for other in self._others:
+            other.finished(key, seconds)
+
+    def reused(self, key: str) -> None:
+        for other in self._others:
+            other.reused(key)
+
+    def note(self, text: str) -> None:
+        for other in self._others:
+            other.note(text)
+
+
+def progress_for(stream: TextIO, quiet: bool = False, log: str | None = None) -> Progress:
+    """Bars when `stream` is a terminal, lines when it is not, nothing when `quiet`.
+
+    log: a file that gets JSON lines, too; OSError where it cannot be written.
+    """
     if quiet:
-        return Progress()
-    return TerminalProgress() if stream.isatty() else LineProgress(stream)
+        shown = Progress()
+    else:
+        shown = TerminalProgress() if stream.isatty() else LineProgress(stream)
+    return shown if log is None else SeveralProgresses([shown, LogProgress(log)])

@@ -14,7 +14,7 @@ from numbers import Real
 
 from perilife_data import did_you_mean
 
-SI_UNIT = {"LENGTH": "m", "TIME": "s", "T": "s", "ANGLE": "rad"}
+SI_UNIT = {"LENGTH": "m", "TIME": "s", "T": "s", "ANGLE": "rad", "F": "N"}
 """Metavariable of the options whose values are typed with a unit -> unit of a bare number."""
 
 

@@ -7,12 +7,7 @@ from pathlib import Path
 from peri.engine.omission import DEFAULT_TOLERANCE
 from pipeline.scene.coating import read_coating
 from pipeline.scene.holding import ALL as HOLDS
-from pipeline.scene.image import (
-    ImageFile,
-    add_image_options,
-    content_of,
-    image_from_options,
-)
+from pipeline.scene.image import ImageFile, add_image_options, content_of, image_from_options
 from pipeline.scene.ions import (
     ACTIVITIES,
     CLOSURES,
@@ -282,7 +277,6 @@ def scene_from_options(options: argparse.Namespace) -> Scene:
 
 def _stored_scene(options: argparse.Namespace) -> Scene:
     """The resolved scene that the options name, beside which no option of a scene may be given."""
-    from pipeline.scene.resolve import solid_file
     from pipeline.scene.scene_file import read_stored
 
     parser = argparse.ArgumentParser(add_help=False)
@@ -295,13 +289,9 @@ def _stored_scene(options: argparse.Namespace) -> Scene:
             )
     scene = read_stored(options.scene)
     solid = scene.geometry
-    if isinstance(solid, SolidFile) and solid_file(solid.path, solid.unit) != solid:
+    if isinstance(solid, SolidFile | ImageFile) and content_of(Path(solid.path)) != solid.sha256:
         raise ValueError(
             f"solid is '{solid.path}'; it was changed after '{options.scene}' was written"
-        )
-    if isinstance(solid, ImageFile) and content_of(Path(solid.path)) != solid.sha256:
-        raise ValueError(
-            f"image is '{solid.path}'; it was changed after '{options.scene}' was written"
         )
     return scene
 

@@ -38,6 +38,9 @@ EXAMPLES: dict[str, object] = {
     "pulls": 2,
     "samples": 200,
     "surrogate": 40,
+    "until_left": 0.8,
+    "until_force": "300N",
+    "log": "events.jsonl",
 }
 """Values of the options that do nothing where they are left out."""
 

@@ -98,6 +98,21 @@ def test_python_goes_on_where_the_command_stopped_and_finds_nothing_to_do(run):
     assert one.damage("0w").max() == 0
 
 
+def test_a_program_reads_one_object_and_a_log(run, tmp_path, capsys):
+    from pipeline.cli import main
+
+    log, table = tmp_path / "log.jsonl", (run[0] / "summary.csv").read_text().splitlines()
+    asked = ["run", *OPTIONS, "--out", str(run[0]), "--resume", "--log", str(log), "--json"]
+    assert main(asked) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert Path(told["folder"]) == run[0] and Path(told["report"]).is_file()
+    assert list(told["rows"][0]) == table[0].split(",") and len(told["rows"]) == len(table) - 1
+    assert told["rows"][1]["strength_ratio"] == pytest.approx(float(table[2].split(",")[6]))
+    events = [json.loads(line) for line in log.read_text().splitlines()]
+    assert {"event": "reused", "what": "corrode Mg-5Gd"}.items() <= events[1].items()
+    assert {event["event"] for event in events} == {"reused"} and len(events) == 1 + 2 + 4 + 4 + 1
+
+
 @pytest.mark.slow
 def test_python_and_the_command_give_the_same_table_byte_for_byte(run, tmp_path, monkeypatch):
     from pipeline import LifeCycle

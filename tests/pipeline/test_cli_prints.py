@@ -6,6 +6,8 @@ import json
 import os
 import re
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -33,6 +35,23 @@ def test_version_and_alloys_are_printed(capsys):
     printed = capsys.readouterr().out
     for name in ("Mg-5Gd", "Mg-10Gd", "table-5.1"):
         assert name in printed
+
+
+def test_alloys_are_one_object_with_units_and_sources(capsys):
+    assert main(["alloys", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert set(told) == {"alloys", "parameter_sets", "hardening", "experiments"}
+    stiff = told["alloys"]["Mg-5Gd"]["quantities"]["young_modulus"]
+    assert (stiff["value"], stiff["unit"], stiff["source"]) == (43.0, "GPa", "hermann2024")
+    assert "interface_diffusivity" in told["parameter_sets"]["table-5.1"]["alloys"]["Mg-10Gd"]
+
+
+def test_output_that_nobody_reads_is_no_error():
+    command = f"{sys.executable} -m pipeline.cli alloys --json | head -c 10"
+    done = subprocess.run(
+        ["bash", "-c", f"{command}; exit ${{PIPESTATUS[0]}}"], capture_output=True, text=True
+    )
+    assert (done.returncode, done.stderr, len(done.stdout)) == (141, "", 10)
 
 
 def test_plan_tells_sizes_time_memory_and_omissions(capsys):

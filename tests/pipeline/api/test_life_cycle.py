@@ -58,7 +58,7 @@ def test_every_option_of_the_command_has_its_keyword(name: str) -> None:
     assert vars(given) == shared
     assert shared[action.dest] == getattr(given, action.dest) != action.default
     # and the command has nothing more that a run could depend on
-    assert set(asked) - set(shared) == {"action", "command", "verbose", "version"}
+    assert set(asked) - set(shared) == {"action", "command", "verbose", "version", "json"}
 
 
 def test_numbers_are_si_and_texts_are_as_typed() -> None:
