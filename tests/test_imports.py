@@ -127,6 +127,7 @@ BELOW = {
         },
         "known": set(),
         "run": {"scene", "record", "stages", "life_cycle", "campaigns"},
+        "examples": set(),
         "api": {"scene", "record", "stages", "report", "export", "run"},
         "cli": {
             "scene",

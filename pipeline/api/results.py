@@ -41,6 +41,8 @@ class Results:
     def __init__(self, folder: Path | str, alloy: str | None = None, hold: str | None = None):
         from pipeline.stages.opening import read_run as open_folder
 
+        self._run_folder: RunFolder
+        self.scene: Scene
         self._run_folder, self.scene = open_folder(folder)
         self.folder = self._run_folder.path
         self.alloy = None if alloy is None else self.scene.alloy(alloy).name
@@ -49,9 +51,6 @@ class Results:
         self.rows: tuple[SummaryRow, ...] = tuple(
             row for row in rows if self.alloy in (None, row.alloy) and self.hold in (None, row.hold)
         )
-
-    scene: Scene
-    _run_folder: RunFolder
 
     @property
     def alloys(self) -> tuple[str, ...]:
@@ -124,6 +123,31 @@ class Results:
     def damage(self, time: str) -> NDArray[np.float64]:
         """Corrosion damage f0 of each cell after an immersion time, (nc,)."""
         return self.state(time).corrosion_damage
+
+    def export(
+        self, to: str, time: str, out: Path | str | None = None, classes: int = 20
+    ) -> list[Path]:
+        """Write the solid after an immersion time for another program, as `perilife export` does.
+
+        to: inp, exodus, vtu, xdmf or npz; out: the file, in the run folder where left out; classes:
+        of damage, in an .inp.  Returns the files.
+        """
+        import argparse
+
+        from pipeline.export.command import run_export
+
+        files: list[Path] = []
+        options = argparse.Namespace(
+            run=self.folder,
+            to=to,
+            time=time,
+            alloy=self._one("alloy"),
+            hold=self._one("hold"),
+            out=None if out is None else str(out),
+            classes=classes,
+        )
+        run_export(options, lambda written: files.append(Path(written)))
+        return files
 
     def plot(self) -> Figure:
         """Strength left against time, and the curves of the tests: a matplotlib Figure.

@@ -82,12 +82,13 @@ KEYWORDS = {
 """OPTIONS as a person may give them in Python, alloys and times apart."""
 
 
-def test_python_goes_on_where_the_command_stopped_and_finds_nothing_to_do(run):
+def test_python_goes_on_where_the_command_stopped_and_finds_nothing_to_do(run, capfd):
     from pipeline import LifeCycle
 
     before = {path: path.read_bytes() for path in run[0].rglob("*.stage.json")}
     table = (run[0] / "summary.csv").read_bytes()
     result = LifeCycle(list(ALLOYS), LABELS, **KEYWORDS, out=run[0], resume=True).run()
+    assert capfd.readouterr() == ("", "")  # no terminal
     assert (run[0] / "summary.csv").read_bytes() == table
     assert before == {path: path.read_bytes() for path in run[0].rglob("*.stage.json")}
     one = result.only("Mg-5Gd")
@@ -96,6 +97,8 @@ def test_python_goes_on_where_the_command_stopped_and_finds_nothing_to_do(run):
     assert one.strength_left < 1 and np.all(np.diff(curve["elongation"]) > 0)
     assert damage.shape == (len(one.state("8w").cells),) and 0 < damage.mean() < 0.5
     assert one.damage("0w").max() == 0
+    (written,) = one.export("npz", "8w")
+    assert np.array_equal(np.load(written)["corrosion_damage"], damage)
 
 
 def test_a_program_reads_one_object_and_a_log(run, tmp_path, capsys):
