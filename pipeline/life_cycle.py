@@ -23,7 +23,7 @@ from pipeline.record.summary import SummaryRow, write_summary
 from pipeline.scene.loads import LOADS
 from pipeline.scene.scene import HoldScene, Scene
 from pipeline.scene.units import ImmersionTime
-from pipeline.stages.pulls import run_jobs
+from pipeline.stages.pulls import Crew, run_jobs
 from pipeline.stages.strength import TensileJob, read_result, run_jobs_here, written_files
 
 logger = logging.getLogger(__name__)
@@ -71,7 +71,8 @@ class LifeCycle:
 
     workers: None takes as many as the cores allow.  solid: the solid of the scene where it has
     been built already.  march_ranks: MPI ranks of each march, 1 for this very process.  pull_here:
-    in this very process, one after another, which then ends with a pull that crashes.
+    in this very process, one after another, which then ends with a pull that crashes.  crew:
+    children for the pulls, to be kept after the last one.
     """
 
     def __init__(
@@ -85,8 +86,9 @@ class LifeCycle:
         solid: object = None,
         march_ranks: int = 1,
         pull_here: bool = False,
+        crew: Crew | None = None,
     ):
-        self.march_ranks, self.pull_here = march_ranks, pull_here
+        self.march_ranks, self.pull_here, self.crew = march_ranks, pull_here, crew
         self.scene = scene
         self.folder = folder if isinstance(folder, RunFolder) else RunFolder(folder)
         self.ranks = ranks
@@ -211,6 +213,7 @@ class LifeCycle:
             advanced=self.progress.advanced,
             finished=finished,
             keep=self.folder.descriptors,
+            crew=self.crew,
         )
         records = [self.folder.read_record(self._place(test), "pull") for test in tests.values()]
         return [record for record in records if record is not None]

@@ -34,8 +34,10 @@ from pipeline.record.run_folder import StageRecord
 from pipeline.record.stage_hashes import pull_hash
 from pipeline.record.summary import SummaryRow
 from pipeline.scene.checks import check
+from pipeline.scene.loads import LOADS
 from pipeline.scene.scene import Scene, SceneError, content_hash
 from pipeline.stages.geometry import read_surface
+from pipeline.stages.pulls import Crew
 
 Array = NDArray[np.float64]
 
@@ -71,6 +73,11 @@ class BandedLifeCycle(LifeCycle):
         self.tolerance = tolerance
         self.samples = {a.name: samples_of(scene, a.name, samples) for a in scene.alloys}
 
+    def run(self) -> list[SummaryRow]:
+        """Every stage; the children that pull are kept to the end."""
+        with Crew(self.workers, self.folder.descriptors) as self.crew:
+            return super().run()
+
     def report(self, again: bool = False) -> StageRecord:
         """Bands first, then the report that shows them."""
         self.bands()
@@ -105,7 +112,7 @@ class BandedLifeCycle(LifeCycle):
 
     def _bands_of(self, alloy: str, implant: Implant) -> Banded:
         samples, times = self.samples[alloy], self.scene.with_intact()
-        shared = {"ranks": self.ranks, "workers": self.workers, "progress": self.progress}
+        shared = self._how()
         try:
             losses = self._losses(alloy, implant, samples, max(m.seconds for m in times))
         except SceneError:
@@ -116,7 +123,11 @@ class BandedLifeCycle(LifeCycle):
             )
             return marched.banded(implant.solid)
         folder, geometry = self.folder.path / alloy / CURVE_FOLDER, self.folder.geometry
-        tests = CurveTests(self.scene, alloy, implant, folder, geometry=geometry, **shared)
+        peak = f"peak_{LOADS[self.scene.tensile.load].reaction}"
+        intact = {h.name: float(self._pulled((alloy, times[0], h))[peak]) for h in self.scene.holds}
+        tests = CurveTests(
+            self.scene, alloy, implant, folder, geometry=geometry, intact=intact, **shared
+        )
         later = [m.seconds > 0 for m in times]
         strengths = {
             hold.name: self._by_curve(tests, hold.name, losses, later) for hold in self.scene.holds
@@ -124,6 +135,13 @@ class BandedLifeCycle(LifeCycle):
         weeks = [604800.0 * week for week in CANDIDATES]
         candidates = sampled_losses(self.scene, alloy, implant, samples, weeks)
         return Banded(self.scene, alloy, implant.solid, samples, losses, candidates, strengths)
+
+    def _how(self) -> dict[str, object]:
+        """How further tests are done: as those of the run."""
+        return {
+            "ranks": self.ranks, "workers": self.workers, "progress": self.progress,
+            "crew": self.crew,
+        }  # fmt: skip
 
     def _by_curve(
         self, tests: CurveTests, hold: str, losses: Array, later: Sequence[bool]
@@ -159,9 +177,7 @@ class BandedLifeCycle(LifeCycle):
             alloy,
             self.folder,
             self.folder.path / alloy / DOUBTS_FOLDER,
-            ranks=self.ranks,
-            workers=self.workers,
-            progress=self.progress,
+            **self._how(),
         ).sources({hold: row.strength_ratio for hold, row in own.items()})
         calibration = perilife_data.load_parameter_set(self.scene.parameter_set).calibrations[alloy]
         return [

@@ -24,6 +24,7 @@ from pipeline.scene.hardening import with_hardening
 from pipeline.scene.loads import LOADS
 from pipeline.scene.scene import Scene
 from pipeline.scene.units import format_length
+from pipeline.stages.pulls import Crew
 
 Array = NDArray[np.float64]
 
@@ -94,7 +95,7 @@ def next_measurements(
 class OtherAssumptions:
     """Tests of one alloy at the last time of a scene, with another hardening or horizon.
 
-    run: the finished folder of the scene; folder: of the tests.
+    run: the finished folder of the scene; folder: of the tests; crew: children for them.
     """
 
     def __init__(
@@ -106,11 +107,12 @@ class OtherAssumptions:
         ranks: int = 1,
         workers: int = 1,
         progress: Progress | None = None,
+        crew: Crew | None = None,
     ):
         self.last = scene.with_intact()[-1]
         self.scene = replace(scene, alloys=(scene.alloy(alloy),), immersion=(self.last,), ions=None)
         self.alloy, self.run, self.folder = alloy, run, folder
-        self.ranks, self.workers, self.progress = ranks, workers, progress
+        self.how = {"ranks": ranks, "workers": workers, "progress": progress, "crew": crew}
 
     def left(self, scene: Scene, name: str) -> dict[str, float]:
         """Strength left by way of holding in a changed scene; the folder's name is `name`.
@@ -120,9 +122,7 @@ class OtherAssumptions:
         folder = RunFolder(self.folder / name)
         if not folder.geometry.exists():
             take_over(self.run.geometry, folder.geometry)
-        cycle = LifeCycle(
-            scene, folder, ranks=self.ranks, workers=self.workers, progress=self.progress
-        )
+        cycle = LifeCycle(scene, folder, **self.how)
         cycle.geometry()
         cycle.corrode(self.alloy)
         first, *_, last = scene.with_intact()

@@ -23,6 +23,7 @@ from pipeline.record.run_folder import RunFolder
 from pipeline.scene.loads import LOADS
 from pipeline.scene.scene import Scene, SceneError
 from pipeline.scene.units import ImmersionTime
+from pipeline.stages.pulls import Crew
 
 CURVE_FOLDER = "strength-curve"
 DEFAULT_TOLERANCE = 0.01
@@ -45,7 +46,8 @@ class CurveTests:
 
     scene: the alloy, meshes and tests are those of the scene; folder: of the tests; geometry: a
     finished geometry folder of the same scene to take over, where there is one; workers: tests at
-    a time.  What the ions do is left out: they do not act on the metal.
+    a time; crew: children for them; intact: what the intact solid bears by way of holding, where
+    that is known.  What the ions do is left out: they do not act on the metal.
     """
 
     def __init__(
@@ -58,6 +60,8 @@ class CurveTests:
         ranks: int = 1,
         workers: int = 1,
         progress: Progress | None = None,
+        crew: Crew | None = None,
+        intact: dict[str, float] | None = None,
     ):
         # A constant rate reaches any volume loss soon, and the damage is the same.
         self.alloy = alloy
@@ -68,7 +72,8 @@ class CurveTests:
             ions=None,
         )
         self.implant, self.folder, self.geometry = implant, folder, geometry
-        self.ranks, self.workers, self.progress = ranks, workers, progress
+        self.how = {"ranks": ranks, "workers": workers, "progress": progress, "crew": crew}
+        self.intact = intact or {}
         self._model = ReducedModel(self.scene, alloy, implant, ("interface_diffusivity",))
 
     def time_of(self, loss: float) -> float:
@@ -92,6 +97,8 @@ class CurveTests:
         Several losses are one march and are tested in every way of holding of the scene at once:
         all curves begin with the same ones.
         """
+        if losses[0] == 0 and hold in self.intact:
+            return [self.intact[hold], *(self.peaks(hold, losses[1:]) if losses[1:] else [])]
         moments = tuple(
             ImmersionTime(f"V{100 * loss:.4f}", self.time_of(loss) if loss > 0 else 0.0)
             for loss in losses
@@ -103,9 +110,7 @@ class CurveTests:
         folder = RunFolder(self.folder / "-".join(ends))
         if self.geometry is not None and not folder.geometry.exists():
             take_over(self.geometry, folder.geometry)
-        cycle = LifeCycle(
-            scene, folder, ranks=self.ranks, workers=self.workers, progress=self.progress
-        )
+        cycle = LifeCycle(scene, folder, **self.how)
         cycle.geometry()
         cycle.corrode(self.alloy)
         asked = scene.hold(hold)

@@ -26,6 +26,7 @@ from pipeline.record.run_folder import RunFolder
 from pipeline.scene.loads import LOADS
 from pipeline.scene.scene import Scene, SceneError
 from pipeline.scene.units import ImmersionTime
+from pipeline.stages.pulls import Crew
 
 Array = NDArray[np.float64]
 
@@ -69,7 +70,7 @@ class MarchedSamples:
     """Marches and mechanical tests of one alloy at points of its constants.
 
     run: the folder of the scene's own run, whose geometry and intact solid are taken; most: points
-    at most.
+    at most; crew: children for the tests.
     """
 
     def __init__(
@@ -83,10 +84,12 @@ class MarchedSamples:
         ranks: int = 1,
         workers: int = 1,
         progress: Progress | None = None,
+        crew: Crew | None = None,
     ):
         self.scene, self.alloy, self.samples, self.run = scene, alloy, samples, run
         self.most, self.tolerance = most, tolerance
-        self.ranks, self.workers, self.progress = ranks, workers, progress or Progress()
+        self.progress = progress or Progress()
+        self.how = {"ranks": ranks, "workers": workers, "progress": progress, "crew": crew}
         self.later = [m for m in scene.with_intact() if m.seconds > 0]
         weeks = {604800.0 * week: f"{week}w" for week in CANDIDATES}
         known = {moment.seconds: moment for moment in self.later}
@@ -112,9 +115,7 @@ class MarchedSamples:
         folder = RunFolder(self.run.path / self.alloy / FOLDER / name)
         if not folder.geometry.exists():
             take_over(self.run.geometry, folder.geometry)
-        cycle = LifeCycle(
-            scene, folder, ranks=self.ranks, workers=self.workers, progress=self.progress
-        )
+        cycle = LifeCycle(scene, folder, **self.how)
         cycle.geometry()
         losses = cycle.corrode(self.alloy).numbers["volume_loss"][1:]
         tests = [(self.alloy, m, hold) for hold in scene.holds for m in self.later]

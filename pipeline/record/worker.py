@@ -7,6 +7,7 @@ thread that started it, or when nobody has asked it for a while.
 import json
 import os
 import select
+import socket
 import subprocess
 import sys
 import tempfile
@@ -17,6 +18,9 @@ from pipeline.record.children import end_with_parent, how_it_ended
 
 IDLE_SECONDS = 120.0
 """After so long without a request a child ends; whoever wants one then starts another."""
+
+_NO_SIGNAL = getattr(socket, "MSG_NOSIGNAL", 0)
+"""For requests to a child that is gone: SIGPIPE would end a process in which PETSc is loaded."""
 
 
 class WorkerEndedError(RuntimeError):
@@ -36,14 +40,16 @@ class Worker:
         start: Callable[..., subprocess.Popen] = subprocess.Popen,
     ):
         self._said = tempfile.TemporaryFile()
+        self._requests, requests = socket.socketpair()
         self.process = start(
             [sys.executable, "-m", module, str(os.getpid())],
-            stdin=subprocess.PIPE,
+            stdin=requests,
             stdout=subprocess.PIPE,
             stderr=self._said,
             env=environment,
             text=True,
         )
+        requests.close()
 
     def alive(self) -> bool:
         """Whether the child can be asked."""
@@ -58,9 +64,8 @@ class Worker:
         """Hand the child a request without waiting for the answer."""
         self._said.seek(0)
         self._said.truncate()
-        with suppress(BrokenPipeError):  # a child that has ended: `answer` says so
-            self.process.stdin.write(json.dumps(request) + "\n")
-            self.process.stdin.flush()
+        with suppress(ConnectionError):  # a child that has ended: `answer` says so
+            self._requests.sendall(f"{json.dumps(request)}\n".encode(), _NO_SIGNAL)
 
     def answered(self) -> bool:
         """Whether `answer` need not wait: the child has answered or ended."""
@@ -87,7 +92,9 @@ class Worker:
     def close(self) -> None:
         """End the child and free what this process has of it."""
         self.process.kill()
-        self.process.communicate()
+        self._requests.close()
+        self.process.stdout.close()
+        self.process.wait()
         self._said.close()
 
 

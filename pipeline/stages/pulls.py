@@ -36,6 +36,35 @@ class TensileStageError(RuntimeError):
     """A tensile test that ended without a result; the message says where its log is."""
 
 
+class Crew:
+    """Children for tests on one rank that are kept from one call of `run_jobs` to the next.
+
+    workers: tests at a time, which share the cores; keep: as in `run_jobs`.
+    """
+
+    def __init__(self, workers: int, keep: tuple[int, ...] = ()) -> None:
+        self._environment = _environment(1, workers)
+        self._start = partial(children.start, keep=keep)
+        self.idle: list[Worker] = []
+
+    def worker(self) -> Worker:
+        """A child that waits, or a new one."""
+        while self.idle:
+            worker = self.idle.pop(0)
+            if worker.alive():
+                return worker
+            worker.close()
+        return Worker(_MODULE, self._environment, self._start)
+
+    def __enter__(self) -> "Crew":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """End the children."""
+        while self.idle:
+            self.idle.pop().close()
+
+
 class _Alone:
     """A test in an mpirun of its own."""
 
@@ -82,42 +111,41 @@ def run_jobs(
     advanced: Callable[[str, float], None] = lambda key, fraction: None,
     finished: Callable[[str, float], None] = lambda key, seconds: None,
     keep: tuple[int, ...] = (),
+    crew: Crew | None = None,
 ) -> None:
     """Run jobs in child processes, `workers` at a time with `ranks` ranks each.
 
     keep: descriptors that the processes inherit, the lock of the run folder (children.start).
+    crew: the children for tests on one rank, where they are to be kept after the last one.
     The callbacks are called in this process with the job's key.  When one job fails the others
     that run are allowed to end, then TensileStageError is raised; when this process is
     interrupted all children are ended first, and when it is killed they end with it.
     """
-    # one thread per rank for BLAS; Numba gets what is left of the cores
-    environment = child_environment(ranks, max(1, processor_cores() // (ranks * workers)))
+    own = Crew(workers, keep)
+    crew = crew or own
     command = _launcher(ranks)
     waiting = list(jobs.items())
     running: list[_Alone | _Kept] = []
-    idle: list[Worker] = []
     failures: list[str] = []
 
     def begin(key: str, job: TensileJob) -> _Alone | _Kept:
         log = Path(job.out) / LOG_FILE
         log.unlink(missing_ok=True)
-        start = partial(children.start, keep=keep)
         if command is None:
-            alive = [worker for worker in idle if worker.alive()]
-            idle[:] = alive[1:]
-            return _Kept(key, job, alive[0] if alive else Worker(_MODULE, environment, start))
+            return _Kept(key, job, crew.worker())
         forget_others(job)
         with open(log, "wb") as said:
             return _Alone(
                 key,
                 job,
-                start(
+                children.start(
                     [*command, str(job.write())],
                     launcher=True,
+                    keep=keep,
                     stdout=said,
                     stderr=subprocess.STDOUT,
                     stdin=subprocess.DEVNULL,
-                    env=environment,
+                    env=_environment(ranks, workers),
                 ),
             )
 
@@ -137,7 +165,7 @@ def run_jobs(
                 # at once: a run that is killed later keeps this test and would keep the file
                 (Path(item.job.out) / PROGRESS_FILE).unlink(missing_ok=True)
                 if isinstance(item, _Kept):
-                    idle.append(item.worker)
+                    crew.idle.append(item.worker)
                 if code == 0:
                     finished(item.key, time.monotonic() - item.started)
                 else:
@@ -145,12 +173,16 @@ def run_jobs(
     finally:
         for item in running:
             item.end()
-        for worker in idle:
-            worker.close()
+        own.__exit__()
         for job in jobs.values():
             (Path(job.out) / PROGRESS_FILE).unlink(missing_ok=True)
     if failures:
         raise TensileStageError("; ".join(failures))
+
+
+def _environment(ranks: int, workers: int) -> dict[str, str]:
+    """One thread per rank for BLAS; Numba gets what is left of the cores."""
+    return child_environment(ranks, max(1, processor_cores() // (ranks * workers)))
 
 
 def _launcher(ranks: int) -> list[str] | None:

@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.scene.scene import MaterialParameters, TensileScene
 from pipeline.stages import pulls
-from pipeline.stages.pulls import TensileStageError, run_jobs
+from pipeline.stages.pulls import Crew, TensileStageError, run_jobs
 from pipeline.stages.strength import TensileJob
 
 PRETENDING = "tests.pipeline.stages.pretending"
@@ -77,6 +77,20 @@ def test_children_end_with_an_interrupted_run(tmp_path, way):
         run_jobs({"a": hanging}, advanced=interrupt)
     status = Path("/proc", note.read_text(), "stat")
     assert not status.exists() or " Z " in status.read_text()
+
+
+def test_a_crew_is_kept_from_one_call_to_the_next_and_a_failure_costs_one_child(tmp_path, way):
+    with Crew(1) as crew:
+        for name in ("a", "b"):
+            run_jobs({name: job(tmp_path / name)}, crew=crew)
+        with pytest.raises(TensileStageError, match="bad ended"):
+            run_jobs({"bad": job(tmp_path / "bad")}, crew=crew)
+        run_jobs({"c": job(tmp_path / "c")}, crew=crew)
+    children = [(tmp_path / name / "by").read_text() for name in "abc"]
+    assert len(set(children)) == (2 if way == "kept" else 3)
+    assert (children[0] == children[1]) == (way == "kept")
+    for number in children:
+        assert not Path("/proc", number).exists()
 
 
 def test_a_test_that_cannot_be_done_leaves_its_reason_in_the_log(tmp_path):
