@@ -1,14 +1,17 @@
-"""Units that data files may use, by physical dimension, with their factor to SI.
+"""Units that data files and the command line may use, by dimension, with their factor to SI.
 
 The table is explicit so that a reader sees what is accepted and a file cannot pass a pressure
 where a length belongs. It holds what materials data of this field are printed in; a new unit is
 one line.
 """
 
+import math
+
 UNITS: dict[str, dict[str, float]] = {
     "dimensionless": {"1": 1.0, "%": 1e-2},
-    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6},
+    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "inch": 0.0254},
     "time": {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "w": 604800.0},
+    "angle": {"rad": 1.0, "deg": math.pi / 180.0},
     "pressure": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9},
     "density": {"kg/m^3": 1.0, "g/cm^3": 1e3},
     "molar mass": {"kg/mol": 1.0, "g/mol": 1e-3},

@@ -1,17 +1,19 @@
-"""Units that a person types or reads; everything else in the project is SI."""
+"""Units that a person types or reads, of the table in `data`; everything else is SI."""
 
 import math
 import re
 from dataclasses import dataclass
 from decimal import Decimal
 
-SECONDS_PER = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "w": 604800.0}
+from perilife_data.units import UNITS
+
+SECONDS_PER = UNITS["time"]
 """Time units accepted on the command line and their length in seconds."""
 
-METRES_PER = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "inch": 0.0254}
+METRES_PER = UNITS["length"]
 """Length units accepted for solids from a file and their length in metres."""
 
-RADIANS_PER = {"deg": math.pi / 180.0, "rad": 1.0}
+RADIANS_PER = UNITS["angle"]
 """Angle units accepted on the command line and their size in radians."""
 
 _TIME = re.compile(r"([+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)\s*([a-zA-Z]*)")
