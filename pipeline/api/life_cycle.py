@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import copy
+import inspect
 import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -77,10 +78,29 @@ class LifeCycle:
         return Results(folder.path)
 
 
-def read_keywords(values: Mapping[str, object]) -> argparse.Namespace:
-    """The options of `perilife run` that the keywords give, `out` as None where it is left out."""
+def _parser() -> OneSentenceParser:
     parser = OneSentenceParser(prog="perilife run", add_help=False, allow_abbrev=False)
     add_run_options(parser)
+    return parser
+
+
+def _signature() -> inspect.Signature:
+    """Every keyword by its name, for `help` and for completion in notebooks."""
+    kinds = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
+    return inspect.Signature(
+        [
+            inspect.Parameter(name, kinds[name not in ("alloy", "immersion")], default=a.default)
+            for name, a in options_of(_parser()).items()
+        ]
+    )
+
+
+LifeCycle.__signature__ = _signature()
+
+
+def read_keywords(values: Mapping[str, object]) -> argparse.Namespace:
+    """The options of `perilife run` that the keywords give, `out` as None where it is left out."""
+    parser = _parser()
     known = options_of(parser)
     unknown = unknown_name(known, values)
     if unknown:

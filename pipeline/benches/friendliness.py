@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from pipeline.benches.first_steps import small_three_lines, starts, three_lines
 from pipeline.benches.images import image_to_solid
 from pipeline.benches.result import Result
 from pipeline.scene.scene import DomainSettings, ScrewGeometry
@@ -126,6 +127,8 @@ def _seconds_to_compare(count: int, alloys: list[str], immersion: list[str]) -> 
 
 
 ROWS: dict[str, Row] = {
+    "starts": Row(starts, partial(starts, 1)),
+    "three-lines": Row(three_lines, small_three_lines),
     "exported-screw": Row(exported_screw, small_exported_screw),
     "compared-runs": Row(compared_runs, small_compared_runs),
     "image-to-solid": Row(image_to_solid, partial(image_to_solid, 96)),

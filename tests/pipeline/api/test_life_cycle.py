@@ -1,6 +1,7 @@
 """Python's keywords are the command's options, and give the same scene."""
 
 import argparse
+import inspect
 import subprocess
 import sys
 from pathlib import Path
@@ -59,6 +60,13 @@ def test_every_option_of_the_command_has_its_keyword(name: str) -> None:
     assert shared[action.dest] == getattr(given, action.dest) != action.default
     # and the command has nothing more that a run could depend on
     assert set(asked) - set(shared) == {"action", "command", "verbose", "version", "json"}
+
+
+def test_help_and_completion_know_every_keyword() -> None:
+    signature = inspect.signature(LifeCycle)
+    assert set(signature.parameters) == set(of_the_command()) | {"scene"}
+    assert signature.bind("Mg-5Gd", "8w", hold="slot").arguments["hold"] == "slot"
+    assert signature.parameters["ranks"].default == 1
 
 
 def test_numbers_are_si_and_texts_are_as_typed() -> None:
