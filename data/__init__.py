@@ -22,7 +22,15 @@ from .load import (
 from .names import did_you_mean
 from .reactions import ReactionSet, list_reaction_sets, load_reaction_set
 from .references import Reference, load_reference
-from .schema import KINDS, Alloy, CorrosionParameters, Medium, ParameterSet, Quantity
+from .schema import (
+    KINDS,
+    Alloy,
+    CorrosionParameters,
+    Medium,
+    OwnCorrosion,
+    ParameterSet,
+    Quantity,
+)
 from .volume_loss import VolumeLossData, read_volume_loss_csv
 
 __all__ = [
@@ -33,6 +41,7 @@ __all__ = [
     "Experiment",
     "HardeningRecord",
     "Medium",
+    "OwnCorrosion",
     "ParameterSet",
     "PublishedLoss",
     "Quantity",

@@ -24,6 +24,7 @@ from .schema import (
     CorrosionParameters,
     Element,
     Medium,
+    OwnCorrosion,
     ParameterSet,
     Quantity,
     Species,
@@ -34,6 +35,9 @@ CALIBRATIONS = ("closed", "discrete")
 SATURATIONS = ("as_published", "complementarity", "none")
 BOUNDARIES = ("refreshed", "no_flux")
 DOMAINS = ("cylinder", "ball")
+FILL_IN = "FILL IN"
+"""Stands in place of what template.py leaves open; a file that still holds it is refused."""
+
 _MOST_SAMPLES = 100_000
 
 
@@ -63,6 +67,8 @@ class Table:
         if default is not None and key not in self.entries:
             return default
         value = self._take(key)
+        if value == FILL_IN:
+            raise self.fail(key, f"is '{FILL_IN}'; it is still to be filled in")
         if not isinstance(value, str) or not (value.strip() or default == ""):
             raise self.fail(key, f"is {value!r}; it must be a text in quotes")
         if allowed and value not in allowed:
@@ -249,23 +255,34 @@ def load_alloy(name: str | Path) -> Alloy:
     """Return an alloy by its name, or from a .toml file of one's own.
 
     A file of one's own may name the shipped sources and those of a references.bib beside it.
-    Raises ValueError for an unknown name (naming the known ones) or whatever is wrong in the
-    file, FileNotFoundError where there is no such file.
+    Raises ValueError for an unknown name (naming the known ones), whatever is wrong in the
+    file, or the name of a shipped alloy with other numbers; FileNotFoundError where there is no
+    such file.
     """
-    file = read(path_of("alloys", "alloy", name))
+    path = path_of("alloys", "alloy", name)
+    file = read(path)
     elements = load_elements()
     dissolving = file.text("dissolving_element", allowed=tuple(elements))
     given: dict[str, Quantity] = {}
-    for symbol, table in file.tables("mass_fractions").items():
+    composition = file.table("mass_fractions")  # empty for an unalloyed metal
+    for symbol in list(composition.entries):
         if symbol not in elements:
             raise ValueError(
                 f"{file.file}: mass_fractions.{symbol} is no element of elements.toml; "
                 f"known are {', '.join(elements)}"
             )
-        given[symbol] = table.as_quantity(limits.MASS_FRACTION)
+        given[symbol] = composition.quantity(symbol, limits.MASS_FRACTION)
     fractions = _with_balance(file, dissolving, given)
     density = _mixture_density(fractions, elements)
     molar_mass = elements[dissolving].molar_mass
+    solid_concentration = Quantity(
+        value=fractions[dissolving].si * density.si / molar_mass.si,
+        unit="mol/m^3",
+        dimension="concentration",
+        source="",
+        where=f"mass fraction of {dissolving} times density over molar mass of {dissolving}",
+        kind="derived",
+    )
     alloy = Alloy(
         name=file.text("name"),
         title=file.text("title"),
@@ -273,14 +290,8 @@ def load_alloy(name: str | Path) -> Alloy:
         mass_fractions=fractions,
         elements={symbol: elements[symbol] for symbol in fractions},
         density=density,
-        solid_concentration=Quantity(
-            value=fractions[dissolving].si * density.si / molar_mass.si,
-            unit="mol/m^3",
-            dimension="concentration",
-            source="",
-            where=f"mass fraction of {dissolving} times density over molar mass of {dissolving}",
-            kind="derived",
-        ),
+        solid_concentration=solid_concentration,
+        corrosion=_own_corrosion(file, solid_concentration),
         **file.quantities(limits.ALLOY, limits.ALLOY_OPTIONAL),
     )
     file.done()
@@ -297,7 +308,36 @@ def load_alloy(name: str | Path) -> Alloy:
             f"is {alloy.yield_stress}, {strain:.3g} of the young_modulus, {alloy.young_modulus}; "
             f"it must be at most {limits.LARGEST_YIELD_STRAIN:g} of it",
         )
+    _check_name(file, path, alloy)
     return alloy
+
+
+def _own_corrosion(file: Table, solid_concentration: Quantity) -> OwnCorrosion | None:
+    """The constants in an alloy's own file; C_solid is that of the composition unless given."""
+    if "corrosion" not in file.entries:
+        return None
+    table = file.table("corrosion")
+    medium = table.text("medium", allowed=tuple(list_media()))
+    scene = _calibration_scene(table.table("scene"))
+    parameters = _corrosion_parameters(table, solid_concentration)
+    return OwnCorrosion(medium, scene, parameters)
+
+
+def _check_name(file: Table, path: Path, alloy: Alloy) -> None:
+    """Refuse a file of one's own that has the name of a shipped alloy and other numbers."""
+    named = {name.casefold(): shipped_path for name, shipped_path in shipped("alloys").items()}
+    namesake = named.get(alloy.name.casefold())
+    if namesake is None or namesake.resolve() == path.resolve():
+        return
+    own, theirs = alloy.quantities(), load_alloy(namesake).quantities()
+    for key in {**theirs, **own}:
+        here, there = own.get(key), theirs.get(key)
+        if here is None or there is None or here.si != there.si:
+            raise file.fail(
+                "name",
+                f"is '{alloy.name}', a shipped alloy whose {key} is {there or 'not given'}, "
+                f"not {here or 'left out'}; give the alloy another name",
+            )
 
 
 def _with_balance(file: Table, dissolving: str, given: dict[str, Quantity]) -> dict[str, Quantity]:
@@ -355,27 +395,8 @@ def load_parameter_set(name: str | Path) -> ParameterSet:
     Raises as load_alloy.
     """
     file = read(path_of("parameter_sets", "parameter set", name))
-    table = file.table("scene")
-    scene = CalibrationScene(
-        solid=table.text("solid"),
-        domain=table.text("domain", allowed=DOMAINS),
-        calibration=table.text("calibration", allowed=CALIBRATIONS),
-        saturation=table.text("saturation", allowed=SATURATIONS),
-        boundary=table.text("boundary", allowed=BOUNDARIES),
-        **table.quantities(limits.CALIBRATION_SCENE, limits.CALIBRATION_SCENE_OPTIONAL),
-    )
-    table.done()
-    alloys = {}
-    for alloy, table in file.tables("alloys").items():
-        parameters = CorrosionParameters(**table.quantities(limits.CORROSION_PARAMETERS))
-        table.done()
-        if parameters.saturation_concentration.si >= parameters.solid_concentration.si:
-            raise table.fail(
-                "saturation_concentration",
-                f"is {parameters.saturation_concentration}; it must be below the "
-                f"solid_concentration, {parameters.solid_concentration}",
-            )
-        alloys[alloy] = parameters
+    scene = _calibration_scene(file.table("scene"))
+    alloys = {alloy: _corrosion_parameters(table) for alloy, table in file.tables("alloys").items()}
     loaded = ParameterSet(
         name=file.text("name"),
         title=file.text("title"),
@@ -388,6 +409,38 @@ def load_parameter_set(name: str | Path) -> ParameterSet:
     )
     file.done()
     return loaded
+
+
+def _calibration_scene(table: Table) -> CalibrationScene:
+    """The scene that constants were fitted in."""
+    scene = CalibrationScene(
+        solid=table.text("solid"),
+        domain=table.text("domain", allowed=DOMAINS),
+        calibration=table.text("calibration", allowed=CALIBRATIONS),
+        saturation=table.text("saturation", allowed=SATURATIONS),
+        boundary=table.text("boundary", allowed=BOUNDARIES),
+        **table.quantities(limits.CALIBRATION_SCENE, limits.CALIBRATION_SCENE_OPTIONAL),
+    )
+    table.done()
+    return scene
+
+
+def _corrosion_parameters(table: Table, solid: Quantity | None = None) -> CorrosionParameters:
+    """The constants of one alloy; solid: its C_solid where the table has none."""
+    known = dict(limits.CORROSION_PARAMETERS)
+    own = {}
+    if solid is not None and "solid_concentration" not in table.entries:
+        del known["solid_concentration"]
+        own = {"solid_concentration": solid}
+    parameters = CorrosionParameters(**table.quantities(known), **own)
+    table.done()
+    if parameters.saturation_concentration.si >= parameters.solid_concentration.si:
+        raise table.fail(
+            "saturation_concentration",
+            f"is {parameters.saturation_concentration}; it must be below the "
+            f"solid_concentration, {parameters.solid_concentration}",
+        )
+    return parameters
 
 
 def _calibrations(file: Table) -> Mapping[str, Calibration]:

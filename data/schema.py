@@ -101,7 +101,8 @@ class Alloy(Record):
 
     `solid_concentration` (mol/m^3) is the amount of the dissolving element per volume of alloy,
     w rho / M, with the density of the mixture from 1/rho = sum_k w_k / rho_k (volumes add up).
-    `published_solid_concentration` is what the source prints, where it prints one.
+    `published_solid_concentration` is what the source prints, where it prints one; `corrosion`
+    holds constants of the alloy's own file, where it has some.
     """
 
     name: str
@@ -119,6 +120,7 @@ class Alloy(Record):
     uniform_strain: Quantity  # engineering strain at maximum force
     q1: Quantity  # parameter of the yield function (5.40)
     published_solid_concentration: Quantity | None = None  # mol/m^3
+    corrosion: "OwnCorrosion | None" = None
 
     @property
     def molar_mass(self) -> Quantity:
@@ -180,6 +182,15 @@ class CorrosionParameters(Record):
     volume_loss_scale: Quantity  # l of (5.13), dimensionless
     kernel_exponent: Quantity  # q
     solid_concentration: Quantity  # C_solid used in the fit, mol/m^3
+
+
+@dataclass(frozen=True)
+class OwnCorrosion(Record):
+    """Constants of the bi-material model that stand in an alloy's own file, and their scene."""
+
+    medium: str
+    scene: CalibrationScene
+    parameters: CorrosionParameters
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ from pipeline.record.machine import prepare_libraries
 from pipeline.record.options import add_folder_options, add_machine_options
 from pipeline.record.summary import print_summary
 from pipeline.run import add_init_options, add_run_options, every_option, fitting_scene
+from pipeline.scene.alloy_command import add_alloy_options
 from pipeline.scene.options import add_scene_options
 from pipeline.scene.parser import OneSentenceParser
 from pipeline.scene.scene_file import take_scene_file
@@ -100,6 +101,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_folder_options(campaign)
     scenes = add("scenes", _scenes, "pits, crevices and galvanic couples: list them, or run one")
     add_scenes_options(scenes)
+    add_alloy_options(add("alloy", _alloy, "alloy new NAME: a file for an alloy of one's own"))
     _add_json_option(add("alloys", _alloys, "the alloys and parameter sets that are known"))
     bench = add("bench", _bench, "benchmarks of this machine")
     bench.add_argument("name", metavar="NAME", help="name of a benchmark, or list")
@@ -339,6 +341,13 @@ def _scenes(options: argparse.Namespace) -> int:
     from pipeline.scenes.command import run_scenes
 
     run_scenes(options, print)
+    return 0
+
+
+def _alloy(options: argparse.Namespace) -> int:
+    from pipeline.scene.alloy_command import run_alloy
+
+    run_alloy(options, print)
     return 0
 
 

@@ -13,7 +13,11 @@ def known() -> dict[str, dict[str, dict]]:
     losses = {n: perilife_data.load_experiment(n) for n in perilife_data.list_experiments()}
     return {
         "alloys": {
-            name: {"title": alloy.title, "quantities": _plain(alloy.quantities())}
+            name: {
+                "title": alloy.title,
+                "corrodes": _corrodes(alloy),
+                "quantities": _plain(alloy.quantities()),
+            }
             for name, alloy in alloys.items()
         },
         "parameter_sets": {
@@ -45,10 +49,20 @@ def _plain(quantities: dict[str, perilife_data.Quantity]) -> dict[str, dict]:
     return {name: asdict(quantity) for name, quantity in quantities.items()}
 
 
+def _corrodes(alloy: perilife_data.Alloy) -> bool:
+    """Whether its own file or a shipped set has constants of it; else it can be pulled only."""
+    names = perilife_data.list_parameter_sets()
+    return alloy.corrosion is not None or any(
+        alloy.name in perilife_data.load_parameter_set(name).alloys for name in names
+    )
+
+
 def print_known() -> None:
     """Print names and titles for a reader."""
     for name in perilife_data.list_alloys():
-        print(f"{name:12s} {perilife_data.load_alloy(name).title}")
+        alloy = perilife_data.load_alloy(name)
+        only = "" if _corrodes(alloy) else " (no corrosion constants: pulled only)"
+        print(f"{name:12s} {alloy.title}{only}")
     print()
     for name in perilife_data.list_parameter_sets():
         parameters = perilife_data.load_parameter_set(name)

@@ -124,6 +124,8 @@ _BY_HAND = {"set by hand": "not the value of the data file that the run names"}
 
 def _corrosion_rows(scene: Scene, alloy: AlloyScene) -> list[ParameterRow]:
     place = ("Corrosion", alloy.name)
+    if not alloy.corrosion.known:
+        return []
     known, corrected = _fitted_quantities(scene, alloy)
     rows = []
     for item in fields(alloy.corrosion):
@@ -163,7 +165,16 @@ def _law_rows(scene: Scene) -> list[ParameterRow]:
 
 
 def _fitted_quantities(scene: Scene, alloy: AlloyScene) -> tuple[dict[str, Quantity], float]:
-    """Quantities of the parameter set and, where it is printed wrong, the right C_solid."""
+    """Quantities of the fit and, where C_solid is printed wrong, the right one.
+
+    Those of the alloy's own file where the scene's numbers are theirs, else of the parameter set.
+    """
+    record = _alloy_record(alloy)
+    own = record.corrosion if record else None
+    if own and _same(
+        own.parameters.interface_diffusivity.si, alloy.corrosion.interface_diffusivity
+    ):
+        return own.parameters.quantities(), 0.0
     try:
         known = perilife_data.load_parameter_set(scene.parameter_set)
         quantities = known.for_alloy(alloy.name).quantities()
@@ -173,7 +184,6 @@ def _fitted_quantities(scene: Scene, alloy: AlloyScene) -> tuple[dict[str, Quant
     concentration = quantities.get("solid_concentration")
     if concentration is None or concentration.kind != "published_uncorrected":
         return quantities, 0.0
-    record = _alloy_record(alloy)
     return quantities, record.solid_concentration.si if record else 0.0
 
 

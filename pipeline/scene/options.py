@@ -64,7 +64,9 @@ def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -
         "--resolution", default="quick", metavar="R", help=f"{', '.join(RESOLUTIONS)} (quick)"
     )
     parser.add_argument(
-        "--parameters", metavar="SET", help="published parameter set, or TOML file of one"
+        "--parameters",
+        metavar="SET",
+        help="parameter set, or TOML file of one (the alloy's own, else table-5.1)",
     )
     parser.add_argument(
         "--volume-loss",
@@ -198,7 +200,7 @@ def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -
 
 def scene_from_options(options: argparse.Namespace) -> Scene:
     """Build the scene that the options describe; ValueError or OSError with one sentence."""
-    from pipeline.scene.resolve import DEFAULT_PARAMETER_SET, resolve_scene
+    from pipeline.scene.resolve import resolve_scene
 
     if getattr(options, "scene", None) is not None:
         return _stored_scene(options)
@@ -251,7 +253,7 @@ def scene_from_options(options: argparse.Namespace) -> Scene:
         options.alloy,
         options.immersion,
         options.resolution,
-        parameter_set=options.parameters or DEFAULT_PARAMETER_SET,
+        parameter_set=options.parameters,
         geometry=_geometry(options),
         spacing=None if options.spacing == "auto" else length("spacing"),
         horizon=length("horizon"),

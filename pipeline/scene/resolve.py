@@ -7,6 +7,7 @@ from pathlib import Path
 
 import perilife_data
 from fem.constitutive.hardening import fit_voce
+from perilife_data import OwnCorrosion
 from pipeline.scene import holding
 from pipeline.scene.ions import IonSettings
 from pipeline.scene.rate_law import read_kinetics
@@ -31,6 +32,11 @@ from pipeline.scene.solid_size import check_triangles
 from pipeline.scene.units import METRES_PER, parse_immersion_times
 
 DEFAULT_PARAMETER_SET = "table-5.1"
+OWN_PARAMETERS = "the alloy's own"
+"""What stands for the name of a set where the constants are those of the alloys' own files."""
+
+NO_PARAMETERS = "none"
+
 PULLED_FACE_INCREMENT = 0.005
 """Largest nominal strain increment where an end face is pulled, unless it is given."""
 
@@ -42,7 +48,7 @@ def resolve_scene(
     immersion: list[str],
     resolution_name: str = "quick",
     *,
-    parameter_set: str = DEFAULT_PARAMETER_SET,
+    parameter_set: str | None = None,
     geometry: Geometry | None = None,
     spacing: float | None = None,
     horizon: float | None = None,
@@ -58,7 +64,8 @@ def resolve_scene(
     """Build the scene of a run.
 
     alloys: names of shipped alloys or paths of TOML files; immersion: times as typed (`8w`);
-    parameter_set: name of a shipped set or path of a TOML file; lengths in m where the
+    parameter_set: name of a shipped set or path of a TOML file; None takes the constants in an
+    alloy's own file, else those of DEFAULT_PARAMETER_SET, if it has any; lengths in m where the
     preset is not to be used; hold: ways of holding (pipeline.scene.holding), the shank where
     none is given; corrosion, tensile: fields of CorrosionSettings and TensileScene that differ
     from their defaults, the latter for all ways of holding; measured_volume_loss: CSV file
@@ -69,10 +76,11 @@ def resolve_scene(
     """
     preset = resolution(resolution_name)
     times = parse_immersion_times(immersion)
-    parameters = perilife_data.load_parameter_set(parameter_set)
-    scenes = tuple(_alloy_scene(name, parameters) for name in alloys)
+    fits = [_fit_of(perilife_data.load_alloy(name), parameter_set) for name in alloys]
+    scenes = tuple(_alloy_scene(name, fit) for name, fit in zip(alloys, fits, strict=True))
+    known = [fit for fit in fits if fit is not None]
     corrosion = dict(corrosion or {})
-    exponents = {float(parameters.for_alloy(a.name).kernel_exponent) for a in scenes}
+    exponents = {float(fit.parameters.kernel_exponent) for fit in known}
     corrosion.setdefault("rate_change", preset.rate_change)
     corrosion.setdefault("kernel_exponent", exponents.pop() if len(exponents) == 1 else 0.0)
     geometry = geometry or ScrewGeometry()
@@ -84,12 +92,12 @@ def resolve_scene(
     lattice = LatticeSettings(preset.spacing if spacing is None else spacing, horizon)
     return Scene(
         resolution=resolution_name,
-        parameter_set=parameter_set,
+        parameter_set=_name_of_set(parameter_set, known),
         geometry=geometry,
         immersion=times,
         alloys=scenes,
         lattice=lattice,
-        domain=domain or DomainSettings(boundary=parameters.scene.boundary),
+        domain=domain or DomainSettings(boundary=_boundary(known)),
         corrosion=CorrosionSettings(**corrosion),
         holds=_holds(
             hold, geometry, lattice, preset, MeshSettings(size, fine), dict(tensile or {})
@@ -169,15 +177,67 @@ def solid_file(path: str | Path, unit: str) -> SolidFile:
     return SolidFile(str(path.resolve()), unit, digest)
 
 
-def _alloy_scene(name: str, parameter_set: perilife_data.ParameterSet) -> AlloyScene:
-    """The constants of one alloy: corrosion from the parameter set, mechanics from its file.
+def _fit_of(alloy: perilife_data.Alloy, parameter_set: str | None) -> OwnCorrosion | None:
+    """Constants of an alloy with the scene they belong to; None where nobody has fitted any.
+
+    A set that is named goes before the alloy's own file.  Raises ValueError where it lacks the
+    alloy.
+    """
+    if parameter_set is None and alloy.corrosion is not None:
+        return alloy.corrosion
+    fitted = perilife_data.load_parameter_set(parameter_set or DEFAULT_PARAMETER_SET)
+    if parameter_set is None and alloy.name not in fitted.alloys:
+        return None
+    return OwnCorrosion(fitted.medium, fitted.scene, fitted.for_alloy(alloy.name))
+
+
+def _name_of_set(parameter_set: str | None, known: Sequence[OwnCorrosion]) -> str:
+    """What the scene says of where its constants are from."""
+    if parameter_set is not None:
+        return parameter_set
+    if not known:
+        return NO_PARAMETERS
+    default = perilife_data.load_parameter_set(DEFAULT_PARAMETER_SET)
+    shared = any(fit.scene == default.scene for fit in known)
+    return DEFAULT_PARAMETER_SET if shared else OWN_PARAMETERS
+
+
+def _boundary(known: Sequence[OwnCorrosion]) -> str:
+    """The boundary that the constants were fitted with; SceneError where they disagree."""
+    boundaries = sorted({fit.scene.boundary for fit in known})
+    if len(boundaries) > 1:
+        raise SceneError(
+            f"boundary is {' and '.join(boundaries)} in the fits of these alloys; it must be given "
+            "with --boundary, or the alloys run one by one"
+        )
+    return boundaries[0] if boundaries else DomainSettings().boundary
+
+
+def _corrosion_parameters(
+    alloy: perilife_data.Alloy, fit: OwnCorrosion | None
+) -> CorrosionParameters:
+    if fit is None:
+        return CorrosionParameters(float(alloy.solid_concentration), None, None, None, None)
+    fitted, scene = fit.parameters, fit.scene
+    return CorrosionParameters(
+        solid_concentration=float(fitted.solid_concentration),
+        saturation_concentration=float(fitted.saturation_concentration),
+        liquid_diffusivity=float(fitted.liquid_diffusivity),
+        interface_diffusivity=float(fitted.interface_diffusivity),
+        volume_loss_scale=float(fitted.volume_loss_scale),
+        calibration_spacing=float(scene.spacing),
+        calibration_horizon=float(scene.spacing) * float(scene.horizon_ratio),
+        calibration=scene.calibration,
+    )
+
+
+def _alloy_scene(name: str, fit: OwnCorrosion | None) -> AlloyScene:
+    """The constants of one alloy: corrosion from its fit, mechanics from its file.
 
     The hardening curve is Voce's, fitted through yield stress, ultimate strength and uniform
     strain.
     """
     alloy = perilife_data.load_alloy(name)
-    fitted = parameter_set.for_alloy(alloy.name)
-    scene = parameter_set.scene
     hardening = fit_voce(
         float(alloy.yield_stress),
         float(alloy.ultimate_tensile_strength),
@@ -186,16 +246,7 @@ def _alloy_scene(name: str, parameter_set: perilife_data.ParameterSet) -> AlloyS
     return AlloyScene(
         name=alloy.name,
         source=str(name),
-        corrosion=CorrosionParameters(
-            solid_concentration=float(fitted.solid_concentration),
-            saturation_concentration=float(fitted.saturation_concentration),
-            liquid_diffusivity=float(fitted.liquid_diffusivity),
-            interface_diffusivity=float(fitted.interface_diffusivity),
-            volume_loss_scale=float(fitted.volume_loss_scale),
-            calibration_spacing=float(scene.spacing),
-            calibration_horizon=float(scene.spacing) * float(scene.horizon_ratio),
-            calibration=scene.calibration,
-        ),
+        corrosion=_corrosion_parameters(alloy, fit),
         material=MaterialParameters(
             young_modulus=float(alloy.young_modulus),
             poisson_ratio=float(alloy.poisson_ratio),
@@ -213,5 +264,5 @@ def rate_law(scene: Scene, alloy: str) -> object:
 
     name, numbers = read_kinetics(scene.corrosion.kinetics)
     if name == "volume_loss":
-        numbers.setdefault("length", scene.alloy(alloy).corrosion.volume_loss_scale)
+        numbers.setdefault("length", scene.alloy(alloy).corrosion.at_rest().volume_loss_scale)
     return KINETICS[name](**numbers)

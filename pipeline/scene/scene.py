@@ -180,28 +180,45 @@ class CorrosionParameters:
     (calibration_spacing, calibration_horizon, calibration); pipeline.stages.corrosion turns it
     into a dissolution flux there, once.
     volume_loss_scale is l of Eq. 5.13, dimensionless.
+    Of an alloy that nobody has fitted only the solid concentration is known, the others are None:
+    it can be tested intact, not corroded (Scene refuses that).
     """
 
     solid_concentration: float
-    saturation_concentration: float
-    liquid_diffusivity: float
-    interface_diffusivity: float
-    volume_loss_scale: float
+    saturation_concentration: float | None
+    liquid_diffusivity: float | None
+    interface_diffusivity: float | None
+    volume_loss_scale: float | None
     calibration_spacing: float = 100e-6
     calibration_horizon: float = 200e-6
     calibration: str = "closed"
 
     def __post_init__(self) -> None:
-        for name in dataclasses.fields(self):
-            if name.name != "calibration":
-                positive(name.name.replace("_", " "), getattr(self, name.name))
+        given = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        unknown = [name.replace("_", " ") for name, value in given.items() if value is None]
+        check(len(unknown) in (0, 4), " and ".join(unknown), "not given", "given, or all four not")
+        for name, value in given.items():
+            if name != "calibration" and value is not None:
+                positive(name.replace("_", " "), value)
         one_of("calibration", self.calibration, CALIBRATIONS)
         check(
-            self.saturation_concentration < self.solid_concentration,
+            unknown or self.saturation_concentration < self.solid_concentration,
             "saturation concentration",
             f"{self.saturation_concentration} mol/m^3",
             f"below the solid concentration, {self.solid_concentration} mol/m^3",
         )
+
+    @property
+    def known(self) -> bool:
+        """Whether the alloy can be corroded."""
+        return self.interface_diffusivity is not None
+
+    def at_rest(self) -> "CorrosionParameters":
+        """These, or, where they are not known, any: a march of no time uses none of them."""
+        if self.known:
+            return self
+        return CorrosionParameters(self.solid_concentration, 1e-5 * self.solid_concentration,
+                                   1e-9, 1e-15, 1.0)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -298,6 +315,13 @@ class Scene:
             f"{last.label}, {last.seconds / YEAR:.4g} years",
             f"at most {LONGEST_IMMERSION / YEAR:g} years",
         )
+        unknown = [alloy.name for alloy in self.alloys if not alloy.corrosion.known]
+        if unknown and last.seconds > 0:
+            raise SceneError(
+                f"alloy {unknown[0]} has no corrosion constants, so it can be pulled (--immersion "
+                f"0w), not corroded ({last.label}); they stand in [corrosion] of an alloy's own "
+                "file (perilife alloy new) or in a set that --parameters names"
+            )
         check(bool(self.holds), "list of ways of holding", "empty", "at least one")
         ways = [hold.name for hold in self.holds]
         check(len(set(ways)) == len(ways), "list of ways of holding", ways, "without repetition")

@@ -136,7 +136,7 @@ def corrosion_scene(
 
     exposure: rate classes of the cells (`exposure_of`); all cells with metal are then metal.
     """
-    parameters, settings = scene.alloy(alloy).corrosion, scene.corrosion
+    parameters, settings = scene.alloy(alloy).corrosion.at_rest(), scene.corrosion
     if not metal.any():
         raise ValueError(
             f"lattice spacing is {scene.lattice.spacing:g} m; no node lies in the solid, so it "
@@ -305,8 +305,7 @@ def corrode_in_folder(
         "nodes": int(corrosion.domain.sum()),
         "metal_nodes": int(corrosion.metal.sum()),
         "bonds_per_node": corrosion.stencil.bonds,
-        "dissolution_flux": corrosion.dissolution_flux,
-        "interface_diffusivity": corrosion.base_interface_diffusivity(),
+        **_rates(scene, alloy, corrosion),
         "omissions": [
             {**asdict(o), "bound": o.bound if math.isfinite(o.bound) else None} for o in omissions
         ],
@@ -319,3 +318,13 @@ def corrode_in_folder(
         )
         files += more
     return files, numbers
+
+
+def _rates(scene: Scene, alloy: str, corrosion: CorrosionScene) -> dict[str, float]:
+    """What the constants of an alloy became on this lattice; nothing where they are not known."""
+    if not scene.alloy(alloy).corrosion.known:
+        return {}
+    return {
+        "dissolution_flux": corrosion.dissolution_flux,
+        "interface_diffusivity": corrosion.base_interface_diffusivity(),
+    }

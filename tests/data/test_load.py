@@ -151,8 +151,8 @@ REFUSALS = [
     (
         MG5GD,
         r"dissolving_element = \"Mg\"",
-        'dissolving_element = "Zn"',
-        "dissolving_element is 'Zn'; it must be one of Mg, Gd",
+        'dissolving_element = "Fe"',
+        "dissolving_element is 'Fe'; it must be one of Mg, Gd",
     ),
     (MG5GD, r"name = \"[^\"]*\"", "name = 5", "name is 5; it must be a text in quotes"),
     (MG5GD, r"\[q1\].*\Z", "q1 = 1.5", "is not a known key|q1 is 1.5; it must be a table"),
@@ -229,7 +229,8 @@ def test_refusal(path: Path, pattern: str, replacement: str, message: str, tmp_p
     [
         (
             perilife_data.load_alloy,
-            "alloy 'Mg-7Gd' is unknown (did you mean Mg-5Gd?); known are Mg-5Gd, Mg-10Gd",
+            "alloy 'Mg-7Gd' is unknown (did you mean Mg-5Gd?); known are AZ31, Mg, Mg-5Gd, "
+            "Mg-10Gd, WE43",
         ),
         (perilife_data.load_medium, "medium 'Mg-7Gd' is unknown; known are cell-culture-medium"),
         (perilife_data.load_parameter_set, "parameter set 'Mg-7Gd' is unknown; known are table-5"),
