@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.record.run_folder import RunFolder
+from pipeline.record.run_folder import RunFolder, RunFolderError
 from pipeline.record.summary import SummaryRow, read_summary
 from pipeline.scene.loads import LOADS
 
@@ -36,6 +36,9 @@ class Results:
     Numbers of one test (`strength_left`, `volume_loss`, `peak_force`) are those after the last
     immersion time; `table()` has all times.  Where the run has several alloys or ways of holding,
     `only` chooses.
+
+    Raises FileNotFoundError or ValueError with one sentence for a folder without a finished run, an
+    alloy or a way of holding that is not there.
     """
 
     def __init__(self, folder: Path | str, alloy: str | None = None, hold: str | None = None):
@@ -47,7 +50,13 @@ class Results:
         self.folder = self._run_folder.path
         self.alloy = None if alloy is None else self.scene.alloy(alloy).name
         self.hold = None if hold is None else self.scene.hold(hold).name
-        rows = read_summary(self._run_folder.summary_file)
+        summary = self._run_folder.summary_file
+        if not summary.is_file():
+            raise RunFolderError(
+                f"run folder '{folder}' holds no {summary.name}, so its run is not finished; "
+                "`perilife run --resume` goes on with it"
+            )
+        rows = read_summary(summary)
         self.rows: tuple[SummaryRow, ...] = tuple(
             row for row in rows if self.alloy in (None, row.alloy) and self.hold in (None, row.hold)
         )

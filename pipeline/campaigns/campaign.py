@@ -31,6 +31,7 @@ from pipeline.campaigns.store import StoreFolder
 from pipeline.campaigns.task import Task, do_task
 from pipeline.record.run_folder import RunFolder, write_text
 from pipeline.record.stage_hashes import corrosion_hash, geometry_hash, map_hash, pull_hash
+from pipeline.scene.arguments import arguments_of, options_of, unknown_name
 from pipeline.scene.loads import LOADS
 from pipeline.scene.options import add_scene_options, scene_from_options
 from pipeline.scene.scene import Scene
@@ -89,12 +90,17 @@ def read_campaign(path: Path | str) -> list[Case]:
     varied = [key for key, listed in values.items() if len(listed) > 1]
     parser = _OptionParser(prog=str(path), add_help=False)
     add_scene_options(parser)
+    known = options_of(parser)
+    wrong = unknown_name(known, values)
+    if wrong:
+        raise ValueError(f"{path}: key {wrong} of [options] is no option of a scene")
     cases = []
     for alloy, combination in itertools.product(alloys, itertools.product(*values.values())):
         chosen = dict(zip(values, combination, strict=True))
-        arguments = ["--alloy", alloy, "--immersion", *times]
-        for key, value in chosen.items():
-            arguments += [f"--{key.replace('_', '-')}", str(value)]
+        try:
+            arguments = arguments_of(known, {"alloy": alloy, "immersion": times, **chosen})
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
         scene = scene_from_options(parser.parse_args(arguments))
         labels = tuple((key, str(chosen[key])) for key in varied)
         name = scene.alloys[0].name

@@ -43,6 +43,14 @@ def test_the_table_has_the_columns_of_the_file_and_shows_itself(run) -> None:
     assert all(line in repr(results) for line in results.headlines())
 
 
+def test_a_run_that_is_not_finished_is_refused(run, tmp_path) -> None:
+    (tmp_path / "scene.json").write_bytes((run / "scene.json").read_bytes())
+    with pytest.raises(ValueError, match=r"holds no summary.csv, so its run is not finished"):
+        Results(tmp_path)
+    with pytest.raises(FileNotFoundError, match="does not exist"):
+        Results(tmp_path / "absent")
+
+
 def test_sources_are_those_of_the_numbers_used(run) -> None:
     sources = Results(run).sources
     assert "Hermann" in sources["hermann2024"]

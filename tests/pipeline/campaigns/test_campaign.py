@@ -38,6 +38,9 @@ final_strain = 0.02
 """
 
 
+OPTIONS = 'alloys = ["Mg-5Gd"]\nimmersion = ["8w"]\n[options]\n'
+
+
 def write(folder: Path, options: str = "", head: str = "", times: str = '"0w", "4w"') -> Path:
     path = folder / "campaign.toml"
     path.write_text(
@@ -53,6 +56,8 @@ def test_every_combination_is_a_scene_and_equal_stages_are_one_task(tmp_path):
         for alloy in ("Mg-5Gd", "Mg-10Gd")
         for size in ("0.6mm", "0.7mm")
     ]
+    numbers = read_campaign(write(tmp_path, "mesh-size = [0.6e-3, 0.7e-3]\n"))  # SI
+    assert [c.scene for c in numbers] == [c.scene for c in cases]
     geometry, corrode, test = stages(cases, tmp_path / "store")
     # two meshes; the march knows no mesh, but one time for the intact solid and two for the scene
     assert (len(geometry), len(corrode), len(test)) == (2, 4, 8)
@@ -83,7 +88,9 @@ def test_samples_share_geometry_and_the_intact_solid(tmp_path, monkeypatch):
         ('alloys = ["Mg-5Gd"]\nimmersion = ["8w"]\nsamples = -1', "samples is -1"),
         ('alloys = ["Mg-5Gd"]\nimmersion = ["8w"]\nsamples = 5', "has no posterior of Mg-5Gd"),
         ('alloys = ["Mg-5Gd"]\nimmersion = ["8w"]\noptions = 3', "it must be a table"),
-        ('alloys = ["Mg-5Gd"]\nimmersion = ["8w"]\n[options]\ncolour = "red"', "--colour red"),
+        ('alloys = ["Mg-5Gd"]\nimmersion = ["8w"]\n[options]\ncolour = "red"', "key 'colour'"),
+        (OPTIONS + 'mesh_szie = "1mm"', "key 'mesh_szie' (did you mean mesh_size?)"),
+        (OPTIONS + "spacing = true", "spacing is True; it must be text, a number or a list"),
         ('alloys = ["Mg-5Gd"]\nimmersion = ["8w"]\n[options]\nmesh_size = []', "0 scenes"),
         ('alloys = ["Mg-7Gd"]\nimmersion = ["8w"]', "Mg-7Gd"),
     ],
