@@ -227,8 +227,12 @@ class _Test:
         if resume is None:
             for observer in observers:
                 getattr(observer, "begin", lambda increment: None)(Increment(self, march))
-        parted = resume is not None and self._parted()
+        parted, tried_ones = resume is not None and self._parted(), 0
         while not parted and march.strain < s.maximum_strain * (1 - 1e-12):
+            if tried_ones == s.tries:
+                status = f"stopped: {tried_ones} increments tried at strain {march.strain:.5f}"
+                break
+            tried_ones += 1
             march.size = min(march.size, s.maximum_strain - march.strain)
             outcome, tried = self._increment(march)
             if not outcome.converged:

@@ -40,6 +40,27 @@ def test_cells_drawn_out_are_torn_the_weak_ones_earlier():
         np.testing.assert_array_equal(torn, expected.astype(bool))
 
 
+def test_a_test_that_gets_nowhere_ends_after_so_many_increments_and_says_so(monkeypatch):
+    """Without a peak to fall from: the second increment is refused for ever."""
+    points, cells = distorted_box()
+    settings = TensileSettings(maximum_strain=0.02, most_tried=7, minimum_increment=1e-9)
+    monkeypatch.setattr(module._Test, "_retreat", lambda self, march, outcome, tried: False)
+    solve, calls = module.EquilibriumSolver.solve, []
+
+    def only_once(self, guess, amount):
+        calls.append(amount)
+        outcome, tried = solve(self, guess, amount)
+        return replace(outcome, converged=len(calls) == 1), tried
+
+    monkeypatch.setattr(module.EquilibriumSolver, "solve", only_once)
+    result = tensile_test(points, cells, 0.1, MAGNESIUM, settings)
+    assert result.status == "stopped: 7 increments tried at strain 0.00200"
+    assert len(calls) == 7 and result.peak_force > 0
+    assert TensileSettings(maximum_strain=0.1, maximum_increment=0.02).tries == 250
+    with pytest.raises(ValueError, match="most_tried is 0"):
+        TensileSettings(most_tried=0)
+
+
 def test_coalescence_makes_a_cell_weak_earlier():
     """Failure at f = 0.317: 5 % of the strength are left at f = 0.309, not at 0.633."""
     points, cells = distorted_box()
