@@ -44,6 +44,16 @@ class Progress:
         """Release the terminal."""
 
 
+def time_left(passed: float, fraction: float) -> str:
+    """How long a piece of work will take that has done `fraction` in `passed` seconds, in words.
+
+    Nothing in the first second, and where nothing is done or left to do.
+    """
+    if passed < 1.0 or not 0.0 < fraction < 1.0:
+        return ""
+    return f"about {format_seconds(passed * (1.0 - fraction) / fraction)} left"
+
+
 class LineProgress(Progress):
     """One line per event, and one every `interval` seconds of a long stage."""
 
@@ -65,11 +75,9 @@ class LineProgress(Progress):
         now = time.monotonic()
         if now - self._last.get(key, -self._interval) >= self._interval:
             self._last[key] = now
-            left = ""
-            if 0 < fraction < 1 and key in self._started:
-                seconds = (now - self._started[key]) * (1 - fraction) / fraction
-                left = f", about {format_seconds(seconds)} left"
-            self._line(f"{key}: {100 * fraction:.0f} %{left} {text}".rstrip())
+            left = time_left(now - self._started.get(key, now), fraction)
+            said = ", ".join(filter(None, (f"{100 * fraction:.0f} %", left)))
+            self._line(f"{key}: {said} {text}".rstrip())
 
     def finished(self, key: str, seconds: float) -> None:
         self._line(f"{key}: done in {format_seconds(seconds)}")
@@ -86,7 +94,7 @@ class TerminalProgress(Progress):
 
     def __init__(self) -> None:
         from rich.console import Console
-        from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+        from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
         from rich.progress import Progress as Bars
 
         self._bars = Bars(
@@ -94,12 +102,11 @@ class TerminalProgress(Progress):
             BarColumn(),
             TextColumn("{task.percentage:3.0f} %"),
             TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(),
             TextColumn("{task.fields[text]}"),
             console=Console(stderr=True),
         )
         self._tasks: dict[str, int] = {}
+        self._started: dict[str, float] = {}
 
     def __enter__(self) -> "TerminalProgress":
         self._bars.start()
@@ -109,11 +116,14 @@ class TerminalProgress(Progress):
         self._bars.stop()
 
     def started(self, key: str) -> None:
+        self._started[key] = time.monotonic()
         self._tasks[key] = self._bars.add_task(key, total=1.0, text="")
 
     def advanced(self, key: str, fraction: float, text: str = "") -> None:
         if key in self._tasks:
-            self._bars.update(self._tasks[key], completed=fraction, text=text)
+            left = time_left(time.monotonic() - self._started[key], fraction)
+            said = ", ".join(filter(None, (left, text)))
+            self._bars.update(self._tasks[key], completed=fraction, text=said)
 
     def finished(self, key: str, seconds: float) -> None:
         if key in self._tasks:
