@@ -202,6 +202,8 @@ class LifeCycle:
             inputs = pull_hash(self.scene, *tests[key])
             outcome = (written_files(folder), read_result(folder))
             self._complete("pull", folder, inputs, seconds, outcome)
+            if str(outcome[1]["status"]).startswith("stopped"):
+                self.progress.note(f"{key}: {outcome[1]['status']}; its peak is a lower bound")
             self.progress.finished(key, seconds)
 
         run = run_jobs_here if self.pull_here else run_jobs

@@ -12,7 +12,7 @@ import pytest
 
 from pipeline import life_cycle
 from pipeline.life_cycle import LifeCycle
-from pipeline.record.progress import LineProgress
+from pipeline.record.progress import LineProgress, Progress
 from pipeline.record.run_folder import RunFolder, RunFolderError, StageRecord, write_text
 from pipeline.record.stage_hashes import STAGE_REVISION
 from pipeline.record.summary import read_summary
@@ -82,7 +82,7 @@ def calls(monkeypatch) -> list[str]:
         write_text(out / "damage.h5", "f0")
         return [out / "damage.h5"], {"mean_corrosion_damage": 0.1 * moment.days / 7}
 
-    def pulls(jobs, ranks, workers, started, advanced, finished, keep=()):
+    def pulls(jobs, ranks, workers, started, advanced, finished, keep=(), crew=None):
         for key, job in jobs.items():
             made.append(key)
             out = Path(job.out)
@@ -103,6 +103,15 @@ def calls(monkeypatch) -> list[str]:
     monkeypatch.setattr(life_cycle, "run_jobs", pulls)
     monkeypatch.setattr("pipeline.report.report.write_report", report)
     return made
+
+
+def test_a_test_that_was_stopped_is_said(tmp_path, calls, monkeypatch):
+    said = []
+    monkeypatch.setattr(Progress, "note", lambda self, text: said.append(text))
+    result = {"peak_force": 1.0, "elongation_at_peak": 0.02, "status": "stopped: no way"}
+    monkeypatch.setattr(life_cycle, "read_result", lambda folder: result)
+    LifeCycle(_scene("0w"), tmp_path).run()
+    assert "pull Mg-A 0w shank: stopped: no way; its peak is a lower bound" in said
 
 
 def test_stages_run_in_order_and_fill_the_table(tmp_path, calls):
