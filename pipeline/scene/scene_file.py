@@ -92,11 +92,11 @@ def _named(
             if keyword(name) == "scene" and equals:
                 found.append(value)
                 continue
-        elif takes == 0:
+        elif takes == 0 and not word.startswith("-"):
             found.append(word)
             continue
         else:
-            takes -= 1
+            takes = max(takes - 1, 0)
             if rest[-1:] == ["--scene"]:
                 found.append(word)
                 rest.pop()

@@ -79,6 +79,14 @@ def test_what_is_typed_wins_wherever_the_file_stands(tmp_path, capsys) -> None:
         assert options.alloy == ["Mg-10Gd", "Mg-5Gd"] and options.out == "runs/x"
 
 
+def test_help_is_no_scene_file(capsys) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(["run", "-h"])
+    assert end.value.code == 0 and "SCENE" in capsys.readouterr().out
+    run = ["run", "--alloy", "Mg-5Gd", "--immersion", "8w", "--out", "run"]
+    refused(capsys, [*run, "-x"], "unrecognized arguments: -x")
+
+
 def commented(text: str) -> dict[str, tuple[object, bool]]:
     """Value of each key behind a #, and whether it is an example."""
     lines = [line[1:] for line in text.splitlines() if line[:1] == "#" and line[1:2].strip()]
