@@ -7,6 +7,7 @@ them all, one after the other.
 from __future__ import annotations
 
 import json
+import resource
 import shutil
 import subprocess
 import sys
@@ -111,17 +112,19 @@ def _seconds_to_compare(count: int, alloys: list[str], immersion: list[str]) -> 
             scene["corrosion"]["rate_change"] -= 0.01 * n
             (run / "scene.json").write_text(json.dumps(scene))
         page = Path(place) / "page.html"
-        begin = time.perf_counter()
+        begin, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
         subprocess.run(
             [sys.executable, "-m", "pipeline.cli", "compare", *map(str, runs), "--out", str(page)],
             check=True,
             capture_output=True,
         )
-        seconds = time.perf_counter() - begin
+        seconds, after = time.perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
+        busy = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
         size = page.stat().st_size / 1e6
     what = f"compare {count} runs of {len(alloys)} alloys after {len(immersion)} times"
     return [
         Result(what, seconds, "s", "<= 5" if count == 10 else None),
+        Result(f"{what}: processor time", busy, "s", None),
         Result(f"{what}: its page", size, "MB", None),
     ]
 
