@@ -68,7 +68,7 @@ from tests.pipeline.command_line import COARSE, PIN, SCENE, changed, refused, sc
         (changed("--element", "Q1"), ["'Q1'", "P2"]),
         (changed("--load", "shear"), ["load is 'shear'", "axial, torsion, bending"]),
         (changed("--load", "torsion", "--lateral", "free"), ["'free'", "clamped", "torsion"]),
-        (changed("--load", "bending", "--bending-azimuth", "30"), ["'30'", "deg, rad"]),
+        (changed("--load", "bending", "--bending-azimuth", "30"), ["'30'", "rad, deg"]),
         (
             changed("--load", "torsion", "--bending-azimuth", "1rad"),
             ["azimuth is 1rad", "left out where the load is torsion"],
