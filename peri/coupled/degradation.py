@@ -1,13 +1,13 @@
 """Metal and liquid in one march: bi-material corrosion with the ions, pH and minerals around it.
 
 The metal's kinetics does not read the liquid's composition, so the metal is that of the bi-material
-problem, step by step and bit by bit; the liquid is quasi-steady at every stage (it relaxes in
-minutes) and the minerals are what evolves beside the metal.  Where no mineral can form, nothing of
-the liquid evolves and it is computed at the output times only.
+problem, step by step and bit by bit; the liquid is at rest at every stage where that is bounded
+(it relaxes in minutes), else its content evolves, too: always in closed vessels.  Where the liquid
+is at rest and no mineral can form, nothing of it evolves and it is computed at the output times.
 
-Left out, with its bound: what a node still holds when it turns liquid (at most C_sat / C_solid of
-the metal) is not handed to the ions; the liquid's own content (its relaxation time over the time in
-which the release changes).
+A metal node that turns liquid still holds metal (less than C_sat).  That rest is no ion: it goes
+on dissolving as Mg2+ + 2 OH- + H2, with the time constant REST_TIME, and the node's pore is filled
+with the mean of the liquid around it, which is booked.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.ndimage import binary_erosion, distance_transform_edt
 
+from peri.corrosion.kinetics import Exposed
 from peri.corrosion.nodes.problem import COLUMNS, CorrosionProblem
 from peri.corrosion.scene import CorrosionScene
 from peri.coupled.surroundings import HYDROGEN_PER_METAL, Surroundings
@@ -26,18 +28,31 @@ from peri.transport.chemistry.composition import CompositionError
 from peri.transport.chemistry.speciation import Solution
 from peri.transport.liquid import LiquidState
 from peri.transport.nernst_planck import TransportOptions
+from peri.transport.stored import StoredLiquid
+
+REST_TIME = 86400.0
+"""s, assumed: longer than the steps in which nodes dissolve, which keep their order then; the rest
+is at most C_sat / C_solid of the metal."""
+
+STORAGE_LIMIT = 0.05
+"""Bound of what a liquid at rest errs by (Degradation.storage_bound) above which its content is
+followed."""
 
 _LIQUID_FIELDS = (
     "ln_component", "release", "extents", "migrated", "rates", "psi",
 )  # fmt: skip
 
 
+_LATTICE_FIELDS = ("minerals", "rest", "content")
+
+
 class Degradation(CorrosionProblem):
     """A corrosion scene in a medium whose ions are followed.
 
-    Fields of its states beside those of CorrosionProblem, while minerals are followed: `minerals`
-    (M, padded lattice), mol/m3 of liquid, and `liquid_...`, the scalar fields of the LiquidState,
-    which later solutions start from.
+    Fields of its states beside those of CorrosionProblem, while the liquid is followed: `minerals`
+    (M, padded lattice), mol/m3 of liquid; `rest` (padded), mol/m3 of metal in nodes that turned
+    liquid; `liquid_...`, the scalar fields of the LiquidState, which later solutions start from;
+    with storage `content` (E, padded), mol/m3, totals of the components.
 
     Parameters
     ----------
@@ -47,6 +62,8 @@ class Degradation(CorrosionProblem):
     solver_tolerance : of the metal's march (CorrosionProblem)
     minerals : follow the minerals in time; None: only if one could form at the first release,
         which is the largest
+    storage : follow the liquid's content; None: without a refreshed layer, and where the bound
+        of leaving it out exceeds STORAGE_LIMIT
 
     Raises
     ------
@@ -61,19 +78,27 @@ class Degradation(CorrosionProblem):
         options: TransportOptions | None = None,
         solver_tolerance: float = 1e-9,
         minerals: bool | None = None,
+        storage: bool | None = None,
     ) -> None:
         super().__init__(scene, solver_tolerance)
         self.medium, self.options = medium, options or TransportOptions()
         self._surroundings: Surroundings | None = None
         self._at_start: np.ndarray | None = None
+        self.stores = self._must_store() if storage is None else storage
+        if self.stores:
+            # The liquid's balance is no better than that of what the metal releases into it.
+            self.discrete.tolerance = min(solver_tolerance, 1e-12)
         self.first = self._first_liquid()
-        self.follows_minerals = self._any_forms() if minerals is None else minerals
+        self.follows_minerals = self.stores or (self._any_forms() if minerals is None else minerals)
         names = [m.name for m in medium.chemistry.minerals]
         self.columns = {**COLUMNS, "hydrogen_amount": "mol"}
         self.evolved = ("concentration",)
         if self.follows_minerals:
-            self.evolved = ("concentration", "minerals")
+            self.evolved = ("concentration", "minerals", "rest")
             self.columns |= {"highest_ph": "1", **{f"{n}_amount": "mol" for n in names}}
+        if self.stores:
+            self.evolved = (*self.evolved, "content")
+            self.columns |= {"element_error": "1"}
 
     def key(self) -> str:
         """Hash of the scene, the medium, its chemistry and the options."""
@@ -85,7 +110,7 @@ class Degradation(CorrosionProblem):
         return fingerprint(
             super().key(), self.medium.concentration, self.medium.ln_gamma, chemistry.names,
             chemistry.stoichiometry, chemistry.ln_k, chemistry.diffusivity, minerals, self.options,
-            self.follows_minerals,
+            self.follows_minerals, self.stores,
         )  # fmt: skip
 
     # --- the liquid -----------------------------------------------------------------------
@@ -94,12 +119,40 @@ class Degradation(CorrosionProblem):
     def surroundings(self) -> Surroundings:
         """The liquid of the present phases."""
         if self._surroundings is None:
-            self._surroundings = Surroundings(self.discrete, self.medium, self.options)
+            self._surroundings = Surroundings(self.discrete, self.medium, self.options, self.stores)
         return self._surroundings
 
+    def _must_store(self) -> bool:
+        """Whether a liquid at rest would err by too much, or has no state at all."""
+        if not self.discrete.fixed.any():
+            return True
+        return self.options.closure in ("electroneutral", "none") and (
+            self.storage_bound() > STORAGE_LIMIT
+        )
+
+    def storage_bound(self) -> float:
+        """Relative error of a release at rest: what it changes by while the liquid relaxes.
+
+        L^2 / (2 D) (|d ln g / dV_L| dV_L/dt + the fastest node's loss rate), L the largest
+        distance from the metal, D the smallest diffusivity.
+        """
+        scene = self.scene
+        away = distance_transform_edt(~scene.metal, sampling=scene.lattice.spacing)
+        width = float(away[scene.domain].max())
+        pace = self.pace(super().initial())
+        if scene.one_rate:
+            first, later = (scene.kinetics.rate(Exposed(v)) for v in (0.0, 1e-6))
+            steepness = abs(later / first - 1) / 1e-6 if first else 0.0
+            metal = scene.metal & ~binary_erosion(scene.metal)
+            pace *= 1.0 + steepness * float(metal.sum()) / max(float(scene.metal.sum()), 1.0)
+        slowest = float(self.medium.chemistry.diffusivity.min())
+        return width**2 / (2 * slowest) * pace
+
     def _first_liquid(self) -> LiquidState:
-        """The liquid at the first release, without minerals."""
+        """The liquid at the first release, without minerals; with storage as it begins."""
         around = self.surroundings
+        if self.stores:
+            return around.liquid.rest()
         source = around.source(self.discrete.initial_concentration, None, 0.0)
         return around.liquid.solve(source, minerals=False)
 
@@ -113,15 +166,18 @@ class Degradation(CorrosionProblem):
 
     def liquid_at(self, state: State) -> LiquidState:
         """The liquid of a state of the march."""
-        if self.follows_minerals and state.time > 0:
+        if self.stores or (self.follows_minerals and state.time > 0):
             # As the last stage left it: its minerals' rates are those of that stage.
             return self._read(state.fields)
         return self.surroundings.liquid.solve(self._source(state), minerals=self.follows_minerals)
 
     def _source(self, state: State) -> np.ndarray:
-        return self.surroundings.source(
+        """What the liquid takes up per node, mol/m3/s: from the interface, and of the rest."""
+        source = self.surroundings.source(
             state.fields["concentration"], state.fields.get("theta"), state.numbers["volume_loss"]
         )
+        rest = state.fields.get("rest")
+        return source if rest is None else source + self._at(rest) / REST_TIME
 
     def _read(self, fields: Fields) -> LiquidState:
         around = self.surroundings
@@ -139,10 +195,17 @@ class Degradation(CorrosionProblem):
         rows = np.array(state.active, float).reshape(len(state.active), self.surroundings.space.n)
         return {**fields, "liquid_active": rows}
 
-    def _amounts(self, minerals: np.ndarray) -> np.ndarray:
-        return minerals.reshape(len(minerals), self.discrete.metal.size)[
-            :, self.surroundings.space.index
-        ]
+    def _at(self, field: np.ndarray) -> np.ndarray:
+        """(..., n) on the liquid's nodes from padded fields (..., lattice)."""
+        lead = field.shape[: field.ndim - self.discrete.metal.ndim]
+        return field.reshape(*lead, self.discrete.metal.size)[..., self.surroundings.space.index]
+
+    def _put(self, field: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """A copy of padded fields with the values of the liquid's nodes replaced."""
+        new = field.copy()
+        lead = field.shape[: field.ndim - self.discrete.metal.ndim]
+        new.reshape(*lead, self.discrete.metal.size)[..., self.surroundings.space.index] = values
+        return new
 
     # --- states ---------------------------------------------------------------------------
 
@@ -151,8 +214,21 @@ class Degradation(CorrosionProblem):
         state = super().initial()
         if self.follows_minerals:
             count = len(self.medium.chemistry.minerals)
-            state.fields["minerals"] = np.zeros((count, *self.discrete.sum.padded_shape))
-            state.fields |= self._write(self.surroundings.liquid.rest())
+            shape = self.discrete.sum.padded_shape
+            state.fields["minerals"] = np.zeros((count, *shape))
+            state.fields["rest"] = np.zeros(shape)
+            liquid = self.surroundings.liquid.rest()
+            state.fields |= self._write(liquid)
+        if self.stores:
+            totals = self.medium.chemistry.stoichiometry.T @ liquid.concentration
+            empty = np.zeros((len(totals), *shape))
+            state.fields["content"] = self._put(empty, totals)
+            names = self.medium.chemistry.components
+            state.numbers |= {"taken": 0.0, **{f"left_{n}": 0.0 for n in names}}
+            state.numbers |= {
+                f"given_{n}": self.surroundings.space.total(t)
+                for n, t in zip(names, totals, strict=True)
+            }
         return state
 
     def restore(self, state: State) -> None:
@@ -162,19 +238,20 @@ class Degradation(CorrosionProblem):
 
     def pack(self, name: str, values: np.ndarray) -> np.ndarray:
         """Fields of the liquid as they are; the others as CorrosionProblem does."""
-        if name == "minerals" or name.startswith("liquid_"):
+        if name in _LATTICE_FIELDS or name.startswith("liquid_"):
             return values
         return super().pack(name, values)
 
     def unpack(self, name: str, stored: np.ndarray | None) -> np.ndarray:
         """This process's field."""
-        if name == "minerals" or name.startswith("liquid_"):
+        if name in _LATTICE_FIELDS or name.startswith("liquid_"):
             assert stored is not None
             return stored
         return super().unpack(name, stored)
 
     def accept(self, state: State, stages: Sequence[Stage], step: float) -> None:
         """Metal that is used up turns liquid; the liquid's fields move to the new nodes."""
+        before = self.discrete.metal.copy()
         super().accept(state, stages, step)
         if not state.numbers["dissolved"]:
             return
@@ -182,8 +259,20 @@ class Degradation(CorrosionProblem):
             self._surroundings = None
             return
         older, liquid = self.surroundings, self._read(state.fields)
+        totals = self._at(state.fields["content"]) if self.stores else None
         self._surroundings = None
-        state.fields |= self._write(self.surroundings.carried_over(liquid, older))
+        around = self.surroundings
+        state.fields |= self._write(around.carried_over(liquid, older))
+        new = self.discrete.sum.pad(np.ones(self.scene.lattice.shape)) > 0
+        new &= before & ~self.discrete.metal
+        rest = np.where(new, state.fields["concentration"], 0.0)
+        state.fields["rest"] = state.fields["rest"] + rest
+        if totals is not None:
+            fresh = ~np.isin(around.space.index, older.space.index)
+            moved = around.moved(totals, older)
+            state.fields["content"] = self._put(state.fields["content"], moved)
+            for name, row in zip(self.medium.chemistry.components, moved, strict=True):
+                state.numbers[f"given_{name}"] += around.space.total(np.where(fresh, row, 0.0))
 
     def begin(self, state: State) -> None:
         """Note the minerals at the start of the step, which its stages may fall back to."""
@@ -194,30 +283,45 @@ class Degradation(CorrosionProblem):
         """Concentrations of the metal's march from 0 to C_solid."""
         return {**fields, **super().bounded(fields)}
 
+    def continues(self, first: Stage, right: Fields) -> bool:
+        """With storage, a mineral that vanishes takes a first-order step, which conserves it."""
+        if self.stores and right["minerals"].min(initial=0.0) < 0:
+            return False
+        return super().continues(first, right)
+
     def stage(self, old: Fields, tau: float, guess: State) -> Stage:
         """The metal's stage, then liquid and minerals for what it releases, solved as one."""
         stage = super().stage(old, tau, guess)
         if not self.follows_minerals:
             return stage
         around = self.surroundings
-        source = around.source(
-            stage.fields["concentration"], stage.fields.get("theta"), stage.numbers["volume_loss"]
-        )
+        rest = self._put(old["rest"], self._at(old["rest"]) / (1.0 + tau / REST_TIME))
+        stage.fields["rest"] = rest
+        source = self._source(State(guess.time, stage.fields, stage.numbers))
         held, span = old["minerals"], tau
         if self._at_start is not None and held is not self._at_start and held.min(initial=0.0) < 0:
             # The second stage of a step in which a mineral vanishes: this one field is taken from
             # the start of the step at first order, which is positive; the metal keeps its order.
             held, span = self._at_start, tau / GAMMA
-        amounts = self._amounts(held)
+        amounts = self._at(held)
         try:
-            liquid = around.liquid.solve(source, self._read(guess.fields), amounts, span)
+            if isinstance(around.liquid, StoredLiquid):
+                content = self._at(old["content"])
+                start = self._read(guess.fields)
+                liquid = around.liquid.advance(source, content, tau, start, amounts)
+                totals = around.liquid.conserved(liquid, source, content, tau)
+                stage.fields["content"] = self._put(old["content"], totals)
+                names = self.medium.chemistry.components
+                left = around.liquid.leaving(liquid)
+                stage.rates |= {f"left_{n}": v for n, v in zip(names, left, strict=True)}
+                stage.rates["taken"] = around.space.total(source)
+            else:
+                liquid = around.liquid.solve(source, self._read(guess.fields), amounts, span)
         except CompositionError as error:
             raise BoundsError(str(error)) from error
-        minerals = held.copy()
-        left = amounts + span * liquid.rates
-        left[liquid.rates == -amounts / span] = 0.0  # all of it is gone, to the last digit
-        minerals.reshape(len(minerals), self.discrete.metal.size)[:, around.space.index] = left
-        stage.fields |= {"minerals": minerals, **self._write(liquid)}
+        grown = amounts + span * liquid.rates
+        grown[liquid.rates == -amounts / span] = 0.0  # all of it is gone, to the last digit
+        stage.fields |= {"minerals": self._put(held, grown), **self._write(liquid)}
         stage.iterations += liquid.iterations
         return stage
 
@@ -226,14 +330,45 @@ class Degradation(CorrosionProblem):
     def row(self, state: State) -> tuple[float, ...]:
         """The metal's row, hydrogen and, while minerals are followed, pH and their amounts."""
         metal = super().row(state)
-        dissolved = state.numbers["initial"] - metal[1]
-        row = (*metal, HYDROGEN_PER_METAL * max(dissolved, 0.0))
+        dissolved = self._dissolved(state, metal[1])
+        row = (*metal, HYDROGEN_PER_METAL * dissolved)
         if not self.follows_minerals:
             return row
         around = self.surroundings
         ph = around.liquid.ph(self._read(state.fields)).max(initial=-np.inf)
-        amounts = self._amounts(state.fields["minerals"])
-        return (*row, float(ph), *(around.space.total(a) for a in amounts))
+        amounts = self._at(state.fields["minerals"])
+        row = (*row, float(ph), *(around.space.total(a) for a in amounts))
+        return (*row, self._element_error(state)) if self.stores else row
+
+    def _dissolved(self, state: State, metal: float) -> float:
+        """Metal that has become ions, mol: neither metal nor rest of a node that turned liquid."""
+        lost = max(state.numbers["initial"] - metal, 0.0)
+        rest = state.fields.get("rest")
+        return lost if rest is None else lost - self.surroundings.space.total(self._at(rest))
+
+    def _element_error(self, state: State) -> float:
+        """Largest error of a component's balance over the whole march, over what there is of it.
+
+        Held at first or filled in, and taken up from the metal - dissolved in the composition that
+        was found, as minerals, and left.
+        """
+        around, numbers = self.surroundings, state.numbers
+        found = self._read(state.fields).concentration
+        held = self.medium.chemistry.stoichiometry.T @ found
+        if numbers["dissolved"]:  # new pores have a content, and no composition yet
+            held = self._at(state.fields["content"])
+        for mineral, amount in zip(
+            around.liquid.minerals, self._at(state.fields["minerals"]), strict=True
+        ):
+            held = held + mineral.nu[:, None] * amount
+        worst = 0.0
+        for n, name in enumerate(self.medium.chemistry.components):
+            given = numbers[f"given_{name}"]
+            released = float(around.liquid.released[n]) * numbers["taken"]
+            error = given + released - around.space.total(held[n]) - numbers[f"left_{name}"]
+            scale = abs(given) + abs(released)
+            worst = max(worst, abs(error) / scale if scale > 0 else abs(error))
+        return worst
 
     def snapshot(self, state: State) -> dict[str, np.ndarray | float]:
         """The metal's snapshot, and the liquid's composition on the lattice.
@@ -261,13 +396,17 @@ class Degradation(CorrosionProblem):
         )
         amounts = np.zeros((len(self.medium.chemistry.minerals), space.n))
         if self.follows_minerals:
-            amounts = self._amounts(state.fields["minerals"])
+            amounts = self._at(state.fields["minerals"])
         out["minerals"] = np.array([space.crop(a, 0.0) for a in amounts], np.float32).reshape(
             len(amounts), *space.sum.lattice_shape
         )
         # Phases may have changed after the last stage; then its balance is that of the step before.
         known = not self.follows_minerals or not state.numbers["dissolved"]
-        balance = float(liquid.balance(found, source).max()) if source.any() and known else 0.0
+        balance = 0.0
+        if self.stores:
+            balance = self._element_error(state)
+        elif source.any() and known:
+            balance = float(liquid.balance(found, source).max())
         out |= {
             "balance": balance,
             "net_charge": float(charge.max(initial=0.0)),

@@ -8,6 +8,7 @@ from peri.corrosion.nodes.bimaterial import BiMaterial
 from peri.transport.chemistry.speciation import Solution
 from peri.transport.liquid import LiquidSpace, LiquidState
 from peri.transport.nernst_planck import QuasiSteadyLiquid, TransportOptions
+from peri.transport.stored import StoredLiquid
 
 MAGNESIUM = {"Mg": 1.0, "OH": 2.0}
 """Mg + 2 H2O -> Mg2+ + 2 OH- + H2: what anode and cathode at one place set free per mole."""
@@ -24,18 +25,23 @@ class Surroundings:
     discrete : BiMaterial, in one process
     medium : Solution of one node, what refreshed nodes hold
     options : TransportOptions
+    stores : whether the liquid has a content (StoredLiquid) or is at rest (QuasiSteadyLiquid)
 
     pockets : number of liquid nodes that no bonds join to the refreshed layer; they have no steady
-        state and take no part (their release is `pocket_share` of the whole).
+        state and take no part at rest (their release is `pocket_share` of the whole).
 
     Raises
     ------
     ValueError
-        Without a refreshed layer, or where the whole lattice is not in this process.
+        At rest without a refreshed layer, or where the whole lattice is not in this process.
     """
 
     def __init__(
-        self, discrete: BiMaterial, medium: Solution, options: TransportOptions | None = None
+        self,
+        discrete: BiMaterial,
+        medium: Solution,
+        options: TransportOptions | None = None,
+        stores: bool = False,
     ) -> None:
         scene = discrete.scene
         if not discrete.processes.whole:
@@ -46,16 +52,15 @@ class Surroundings:
                 "proportional"
             )
         fixed = discrete.sum.crop(discrete.fixed.astype(float)) > 0
-        if not fixed.any():
+        if not (fixed.any() or stores):
             raise ValueError(
-                f"boundary: '{scene.boundary}' leaves no refreshed liquid; the quasi-steady ions "
-                "need 'refreshed'"
+                f"boundary: '{scene.boundary}' leaves no refreshed liquid, so the liquid must store"
             )
         metal = discrete.sum.crop(discrete.metal.astype(float)) > 0
         liquid = scene.domain & ~metal
         capacity = scene.capacity()
         space = LiquidSpace(scene.stencil, liquid, fixed, capacity)
-        lost = space.cut_off()
+        lost = np.zeros(space.n, bool) if stores else space.cut_off()
         self.pockets = int(lost.sum())
         if self.pockets:
             gone = space.crop(lost.astype(float), elsewhere=0.0) > 0
@@ -66,7 +71,11 @@ class Surroundings:
             seen = discrete.put(discrete.box(discrete.box_metal_volume))
             near = space.gather(seen) > 0
         self.near = near
-        self.liquid = QuasiSteadyLiquid(space, medium, MAGNESIUM, near, options)
+        self.liquid: QuasiSteadyLiquid | StoredLiquid
+        if stores:
+            self.liquid = StoredLiquid(space, medium, MAGNESIUM, near, options)
+        else:
+            self.liquid = QuasiSteadyLiquid(space, medium, MAGNESIUM, near, options)
         self.pocket_share = 0.0
 
     def source(
@@ -96,21 +105,29 @@ class Surroundings:
         self.pocket_share = 1.0 - there / whole if whole > 0 else 0.0
         return source
 
-    def carried_over(self, state: LiquidState, older: Surroundings) -> LiquidState:
-        """A state on this space from one on an older one; new nodes get their neighbours' mean."""
+    def moved(self, values: np.ndarray, older: Surroundings) -> np.ndarray:
+        """Rows (k, n) on this space from those on an older one.
+
+        New nodes get the mean of the nodes around them, weighted as the bonds are.
+        """
         known = np.isin(self.space.index, older.space.index)
         place = np.searchsorted(older.space.index, self.space.index[known])
-        degree = np.maximum(self.space.neighbours(known.astype(float)), 1e-300)
+        new = np.zeros((len(values), self.space.n))
+        new[:, known] = values[:, place]
+        if not known.all():
+            degree = np.maximum(self.space.neighbours(known.astype(float)), 1e-300)
+            for row in new:
+                row[~known] = (self.space.neighbours(row) / degree)[~known]
+        return new
 
-        def moved(values: np.ndarray) -> np.ndarray:
-            new = np.zeros(self.space.n)
-            new[known] = values[place]
-            if not known.all():
-                new[~known] = (self.space.neighbours(new) / degree)[~known]
-            return new
+    def carried_over(self, state: LiquidState, older: Surroundings) -> LiquidState:
+        """A state on this space from one on an older one; new nodes get their neighbours' mean."""
 
         def rows(values: np.ndarray) -> np.ndarray:
-            return np.array([moved(row) for row in values]).reshape(len(values), self.space.n)
+            return self.moved(values, older)
+
+        def moved(values: np.ndarray) -> np.ndarray:
+            return rows(values[None])[0]
 
         return LiquidState(
             rows(state.ln_component),

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from scipy.ndimage import distance_transform_edt
-
 from peri.coupled.degradation import Degradation
 from peri.engine.omission import Omission
 
@@ -13,28 +11,23 @@ def ion_omissions(problem: Degradation) -> list[Omission]:
     around, options = problem.surroundings, problem.options
     scene, first = problem.scene, problem.first
     found = []
-    share = scene.saturation_concentration / scene.solid_concentration
-    found.append(
-        Omission(
-            "what a node holds when it turns liquid",
-            "the rest of a dissolved metal node is not handed to the ions",
-            share,
-            True,
-            "what dissolves",
+    if not problem.follows_minerals:
+        found.append(
+            Omission(
+                "what a node holds when it turns liquid",
+                "the rest of a dissolved metal node is not handed to the ions",
+                scene.saturation_concentration / scene.solid_concentration,
+                True,
+                "what dissolves",
+            )
         )
-    )
-    width = float(
-        distance_transform_edt(~scene.metal, sampling=scene.lattice.spacing)[scene.domain].max()
-    )
-    slowest = float(problem.medium.chemistry.diffusivity.min())
-    relaxation = width**2 / (2 * slowest)
     found.append(
         Omission(
             "the liquid's own content",
-            f"it relaxes within {relaxation:.0f} s, so it follows the release at rest; the bound "
-            "is of its content for a release that halves in a day",
-            relaxation / 86400.0,
-            True,
+            "it relaxes to rest while the release changes by this share"
+            + (", or never, where nothing is refreshed" if problem.stores else ""),
+            problem.storage_bound(),
+            not problem.stores,
             "the release's change",
         )
     )
@@ -50,7 +43,7 @@ def ion_omissions(problem: Degradation) -> list[Omission]:
                 "the minerals",
             )
         )
-    if options.closure == "none":
+    if options.closure == "none" and not problem.stores:
         bound = around.liquid.potential_bound(first)
         ion = problem.medium.chemistry.names[around.liquid.inert]
         found.append(

@@ -450,6 +450,13 @@ class QuasiSteadyLiquid:
         """log10(Omega) of one mineral, (n,)."""
         return self.minerals[number].ln_omega(state.ln_component) / LN10
 
+    def leaving(self, state: LiquidState) -> np.ndarray:
+        """What leaves of every component through the bonds to the refreshed layer, mol/s, (E,)."""
+        space = self.space
+        change = self.target(state) - self.bulk
+        diffused = np.array([space.total(space.exit * c) for c in change])
+        return diffused - np.array([space.total(v) for v in self.migrate(state)])
+
     def balance(self, state: LiquidState, source: np.ndarray) -> np.ndarray:
         """Relative error of the balance of every component, (E,).
 
@@ -459,15 +466,19 @@ class QuasiSteadyLiquid:
         space = self.space
         change = self.target(state) - self.bulk
         gained = self.released * space.total(source)
-        formed = sum(
-            (m.nu * space.total(r) for m, r in zip(self.minerals, state.rates, strict=True)),
-            np.zeros(gained.shape),
-        )
+        formed = self.formed(state)
         moved = np.array([space.total(space.exit * c) for c in change])
         carried = np.array([space.total(v) for v in self.migrate(state)])
         scale = np.abs(gained) + np.abs(formed) + np.abs(moved) + np.abs(carried)
         reference = max(space.total(np.abs(source)), 1e-300)
         return np.abs(gained + carried - formed - moved) / np.maximum(scale, reference)
+
+    def formed(self, state: LiquidState) -> np.ndarray:
+        """What the minerals take of every component, mol/s, (E,)."""
+        return sum(
+            (m.nu * self.space.total(r) for m, r in zip(self.minerals, state.rates, strict=True)),
+            np.zeros(self.released.shape),
+        )
 
 
 def _permittivity(temperature: float) -> float:

@@ -183,7 +183,6 @@ def test_a_killed_march_goes_on_to_the_last_bit(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"boundary": "no_flux"}, "boundary: 'no_flux' leaves no refreshed liquid"),
         ({"dissolution": "faradaic"}, "dissolution: 'faradaic' with the ions"),
     ],
 )

@@ -35,6 +35,7 @@ def test_tables_are_read_as_markdown(tmp_path) -> None:
     assert [p.name for p in (tmp_path / "out").iterdir()] == [ions.FILE]
 
 
+@pytest.mark.slow
 def test_published_features_of_saline_are_found_with_their_size() -> None:
     features = ions_published.saline_features(0.8e-3, 2 * 86400.0)
     lines = ions_published.lines_of(features)
