@@ -15,7 +15,7 @@ from pipeline.calibration.calibrate import calibrate, free_and_held
 from pipeline.calibration.fit import Measurements, Model, fit
 from pipeline.calibration.models import Implant, ReducedModel, constants, march
 from pipeline.calibration.posterior import posterior
-from pipeline.calibration.writing import write_calibration
+from pipeline.calibration.writing import begun_from, write_calibration
 from pipeline.campaigns.bands import run_with_bands
 from pipeline.record.bands import BANDS_FILE, LEVELS, read_bands
 from pipeline.record.run_folder import RunFolder
@@ -92,7 +92,7 @@ def _whole(scene: Scene) -> list[Result]:
         data = Path(place, "synthetic.csv")
         data.write_text("no file: synthetic\n")
         set_file = write_calibration(
-            Path(place, "fit"), scene.parameter_set, found, implant, data, "0" * 64
+            Path(place, "fit"), begun_from(scene), found, implant, data, "0" * 64
         )[0]
         seconds = time.perf_counter() - begun
         begun = time.perf_counter()

@@ -12,7 +12,7 @@ from pipeline.benches.result import Result
 from pipeline.calibration.calibrate import calibrate
 from pipeline.calibration.fit import Measurements
 from pipeline.calibration.models import Implant, ReducedModel, constants
-from pipeline.calibration.writing import write_calibration
+from pipeline.calibration.writing import begun_from, write_calibration
 from pipeline.campaigns.campaign import STORE_FOLDER, read_campaign, run_campaign
 from pipeline.campaigns.engines import local
 from pipeline.scene.options import add_scene_options, scene_from_options
@@ -66,7 +66,7 @@ def _samples(count: int, options: dict[str, str]) -> list[Result]:
         file = folder / "synthetic.csv"
         file.write_text("no file: synthetic\n")
         parameters = write_calibration(
-            folder / "fit", scene.parameter_set, found, implant, file, "0" * 64
+            folder / "fit", begun_from(scene), found, implant, file, "0" * 64
         )[0]
         lines = [f'{name} = "{value}"' for name, value in options.items()]
         toml = folder / "campaign.toml"

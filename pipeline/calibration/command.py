@@ -43,9 +43,14 @@ def run_calibrate(options: argparse.Namespace, say: Callable[[str], None]) -> No
     from pipeline.calibration.calibrate import calibrate, free_and_held, measurements_of
     from pipeline.calibration.media import compare, write_comparison
     from pipeline.calibration.models import SEARCHED, Implant, marching_executor
-    from pipeline.calibration.writing import lines_of, next_lines, profile_lines, write_calibration
+    from pipeline.calibration.writing import (
+        begun_from,
+        lines_of,
+        next_lines,
+        profile_lines,
+        write_calibration,
+    )
     from pipeline.scene.options import scene_from_options
-    from pipeline.scene.resolve import OWN_PARAMETERS
     from pipeline.scene.units import parse_time
 
     if len(options.alloy) != 1:
@@ -72,12 +77,7 @@ def run_calibrate(options: argparse.Namespace, say: Callable[[str], None]) -> No
     if out.exists() and any(out.iterdir()):
         raise ValueError(f"folder '{out}' is not empty; choose another with --out")
     implant = Implant(scene)
-    base = options.parameters or scene.parameter_set
-    if base == OWN_PARAMETERS:
-        raise ValueError(
-            f"the constants of {alloy} are those of its own file, and a fit begins from a "
-            "parameter set, which must be named with --parameters"
-        )
+    base = begun_from(scene, options.parameters)
     weeks = np.array([1, 2, 4, 8, 12, 16, 24]) * 7 * 86400.0
     fits = {}
     with ExitStack() as stack:

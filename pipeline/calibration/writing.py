@@ -22,7 +22,8 @@ from pipeline.calibration.parameter_file import (
 )
 from pipeline.calibration.posterior import band
 from pipeline.record.run_folder import write_json
-from pipeline.scene.scene import ScrewGeometry
+from pipeline.scene.resolve import OWN_PARAMETERS
+from pipeline.scene.scene import Scene, ScrewGeometry
 
 JSON_FILE = "calibration.json"
 _DAY = 86400.0
@@ -101,10 +102,29 @@ def profile_lines(found: Calibrated, name: str) -> list[str]:
     ]
 
 
+def begun_from(scene: Scene, parameters: str | None = None) -> perilife_data.ParameterSet:
+    """The set that a fit begins from: the one named, else the alloy's own or the shipped one."""
+    if parameters is not None or scene.parameter_set != OWN_PARAMETERS:
+        return perilife_data.load_parameter_set(parameters or scene.parameter_set)
+    alloy = perilife_data.load_alloy(scene.alloys[0].source)
+    own = alloy.corrosion
+    return perilife_data.ParameterSet(
+        OWN_PARAMETERS, alloy.title, own.medium, own.scene, {alloy.name: own.parameters}
+    )
+
+
 def write_calibration(
-    out: Path, base: str, found: Calibrated, implant: Implant, data: Path, digest: str
+    out: Path,
+    base: perilife_data.ParameterSet,
+    found: Calibrated,
+    implant: Implant,
+    data: Path,
+    digest: str,
 ) -> Sequence[Path]:
-    """Write the parameter set, its bibliography and calibration.json; returns their paths."""
+    """Write the parameter set, its bibliography and calibration.json; returns their paths.
+
+    base: the set that the fit began from.
+    """
     scene = found.scene
     geometry = scene.geometry
     solid = "solid from a file"
@@ -113,7 +133,7 @@ def write_calibration(
         solid = f"screw {1e3 * size.diameter:g} mm x {1e3 * size.length:g} mm"
     written = write_parameter_set(
         out,
-        perilife_data.load_parameter_set(base),
+        base,
         FittedScene(
             solid=solid,
             domain=implant.domain.shape,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from pipeline.report.provenance import shown, title_of
-from pipeline.scene.scene import Scene, SolidFile
+from pipeline.scene.scene import Scene, ScrewGeometry
 
 ABSENT = "–"
 """What stands where a run has no such part: another alloy, another kind of solid."""
@@ -54,13 +54,15 @@ def _entries(scene: Scene) -> Iterator[tuple[tuple[str, str], object]]:
     measured = (f"{alloy}: {path}" for alloy, path in scene.measured_volume_loss.items())
     yield (run, "measured_volume_loss"), ", ".join(measured) or "none"
     solid = scene.geometry
-    if isinstance(solid, SolidFile):
-        yield ("Geometry", "solid"), Path(solid.path).name
-        yield ("Geometry", "unit"), solid.unit
-        yield ("Geometry", "content_of_the_file"), f"SHA-256 {solid.sha256[:12]}"
-    else:
+    if isinstance(solid, ScrewGeometry):
         yield ("Geometry", "solid"), "a screw by its measures"
         yield from _fields("Geometry", solid.parameters)
+    else:  # from a file or an image; the same content may lie elsewhere
+        yield ("Geometry", "solid"), Path(solid.path).name
+        yield ("Geometry", "content"), f"SHA-256 {solid.sha256[:12]}"
+        for key, value in _fields("Geometry", solid):
+            if key[1] not in ("path", "sha256", "kind"):
+                yield key, value
     yield from _fields("Lattice", scene.lattice)
     yield from _fields("Liquid domain", scene.domain)
     yield from _fields("Corrosion solver", scene.corrosion)

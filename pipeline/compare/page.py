@@ -184,6 +184,10 @@ def _notes(
             "The tests do not end at the same strain, and a peak is the largest value up to "
             f"there ({said})."
         )
+    makers = {label: _version(run) for label, run in runs}
+    if len(set(makers.values())) > 1:
+        said = ", ".join(f"{label} {version}" for label, version in makers.items())
+        notes.append(f"The runs were made by different versions of perilife ({said}).")
     lacking = [
         line.label
         for line in lines
@@ -198,6 +202,12 @@ def _notes(
     if lacking:
         notes.append(f"No curve after {duration(chosen)}: {', '.join(lacking)}.")
     return notes
+
+
+def _version(run: RunResults) -> str:
+    """Versions of perilife that did the stages of a run."""
+    found = {record.versions.get("perilife", "?") for _, record in run.records}
+    return " and ".join(sorted(found)) or "?"
 
 
 def _table(lines: Sequence[Line]) -> Download:

@@ -14,6 +14,8 @@ from pipeline.compare.differences import differences
 from pipeline.compare.plots import swatch
 from pipeline.compare.runs import read_runs, times, way_of, ways
 from pipeline.report.drawing import MOST_LINES
+from pipeline.scene.image import ImageFile
+from pipeline.scene.scene import SolidFile
 from tests.pipeline.command_line import refused
 from tests.pipeline.report.run_folders import Page, pin_mesh, scene_of, write_run
 
@@ -62,6 +64,17 @@ def test_a_part_that_only_some_have_is_named_once():
     found = by_name(scene_of(), scene_of(["Mg-5Gd"], hold=["slot"]))
     assert set(found) == {("Run", "Alloys"), ("Run", "Ways of holding")}
     assert found[("Run", "Ways of holding")] == ("shank", "slot")
+
+
+def test_solids_of_files_and_images_are_told_by_name_and_content():
+    scene = scene_of()
+    part = dataclasses.replace(scene, geometry=SolidFile("/a/part.step", "mm", "ab" * 32))
+    same = dataclasses.replace(scene, geometry=SolidFile("/b/part.step", "mm", "ab" * 32))
+    scan = ImageFile("/a/scan.mha", "cd" * 32, threshold=0.5)
+    assert by_name(part, same) == {}
+    found = by_name(scene, part, dataclasses.replace(scene, geometry=scan))
+    assert found[("Geometry", "Solid")] == ("a screw by its measures", "part.step", "scan.mha")
+    assert found[("Geometry", "Content")] == ("–", "SHA-256 abababababab", "SHA-256 cdcdcdcdcdcd")
 
 
 def test_what_rounding_would_hide_is_written_in_full():

@@ -115,8 +115,18 @@ def test_the_command_writes_a_file_to_fill_in(tmp_path, monkeypatch, capsys):
     assert not (tmp_path / "run").exists()
 
 
-def test_calibration_begins_from_a_set_that_is_named(own, tmp_path, capsys):
-    (tmp_path / "loss.csv").write_text("immersion time [w],volume loss [%]\n1,4\n4,9\n")
+def test_measured_losses_become_constants_begun_from_those_of_the_file(own, tmp_path, capsys):
+    (tmp_path / "loss.csv").write_text("immersion time [w],volume loss [%]\n1,4\n2,6\n4,9\n")
+    coarse = ["--spacing", "250um", "--horizon", "250um", "--radial-margin", "0.5mm"]
+    coarse += ["--axial-margin", "0.5mm", "--free", "interface_diffusivity"]
     loss = f"ZX10={tmp_path / 'loss.csv'}"
-    arguments = ["calibrate", "--alloy", own, "--volume-loss", loss, *PIN]
-    refused(capsys, [*arguments, "--out", str(tmp_path / "fit")], "--parameters", "its own file")
+    fit = tmp_path / "fit"
+    arguments = ["calibrate", "--alloy", own, "--volume-loss", loss, *PIN, *coarse]
+    assert main([*arguments, "--out", str(fit), "--quiet"]) == 0
+    (path,) = fit.glob("*.toml")
+    fitted = perilife_data.load_parameter_set(path).for_alloy("ZX10")
+    assert fitted.interface_diffusivity.kind == "fitted"
+    assert fitted.volume_loss_scale.si == 0.2
+    scene = resolve_scene([own], ["8w"], parameter_set=str(path))
+    found = scene.alloys[0].corrosion.interface_diffusivity
+    assert found == fitted.interface_diffusivity.si != 3e-15
