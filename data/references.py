@@ -24,8 +24,9 @@ class Reference:
     doi: str = ""
 
     def __str__(self) -> str:
-        doi = f", doi:{self.doi}" if self.doi else ""
-        return f"{self.author} ({self.year}). {self.title}. {self.published_in}{doi}."
+        doi = f"doi:{self.doi}" if self.doi else ""
+        place = ", ".join(filter(None, (self.published_in, doi)))
+        return ". ".join(filter(None, (f"{self.author} ({self.year})", self.title, place))) + "."
 
 
 def read_references(path: Path) -> dict[str, Reference]:

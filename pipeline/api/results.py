@@ -173,7 +173,7 @@ class Results:
         from pipeline.report.provenance import parameter_rows, references
 
         rows = [row for row in parameter_rows(self.scene) if row.alloy in ("", *self.alloys)]
-        return references(rows)
+        return references(rows, self.scene)
 
     @property
     def until(self) -> list[UntilRow]:

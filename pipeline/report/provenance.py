@@ -8,10 +8,12 @@ import logging
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from pathlib import Path
 
 import perilife_data
 from fem.constitutive.hardening import fit_voce
-from perilife_data import Quantity
+from perilife_data import Quantity, Reference
+from perilife_data.references import read_references
 from pipeline.scene.loads import LOADS
 from pipeline.scene.rate_law import read_kinetics
 from pipeline.scene.scene import AlloyScene, Scene
@@ -102,15 +104,32 @@ def to_be_listed(rows: Iterable[ParameterRow]) -> list[ParameterRow]:
     return [row for row in rows if row.kind in TO_BE_LISTED]
 
 
-def references(rows: Iterable[ParameterRow]) -> dict[str, str]:
-    """Full reference of every source that the rows name, by key, in order of first use."""
+def references(rows: Iterable[ParameterRow], scene: Scene) -> dict[str, str]:
+    """Full reference of every source that the rows name, by key, in order of first use.
+
+    From the shipped references.bib, or from one beside a file of one's own that the scene names.
+    """
+    own = _references_beside(scene)
     found: dict[str, str] = {}
     for row in rows:
         if row.source and row.source not in found:
             try:
-                found[row.source] = str(perilife_data.load_reference(row.source))
+                reference = own.get(row.source) or perilife_data.load_reference(row.source)
+                found[row.source] = str(reference)
             except ValueError:
                 found[row.source] = row.source
+    return found
+
+
+def _references_beside(scene: Scene) -> dict[str, Reference]:
+    named = [scene.parameter_set]
+    named += [name for alloy in scene.alloys for name in (alloy.source, alloy.hardening)]
+    found: dict[str, Reference] = {}
+    for folder in {Path(name).parent for name in named if name.endswith(".toml")}:
+        try:
+            found |= read_references(folder / "references.bib")
+        except (OSError, ValueError) as error:
+            logger.info("no references beside the data of the scene: %s", error)
     return found
 
 

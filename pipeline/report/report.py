@@ -101,7 +101,7 @@ def write_report(run_folder: Path | str) -> Path:
         trouble.append(f"pictures, all or some: {pictures.trouble}")
     if pictures.paths:
         write_overview(run, pictures.paths, run.folder / OVERVIEW_FILE)
-    references = provenance.references(rows)
+    references = provenance.references(rows, run.scene)
     page = (
         environment()
         .get_template("report.html.j2")

@@ -8,12 +8,14 @@ from pathlib import Path
 
 import pytest
 
+from pipeline import LifeCycle
 from pipeline.cli import build_parser
+from pipeline.report.provenance import parameter_rows, references
 from pipeline.run import scene_of
 
 ROOT = Path(__file__).resolve().parents[3]
 EXAMPLES = ROOT / "pipeline" / "examples"
-DATA = {"README.md", "measured.csv"}
+DATA = {"README.md", "measured.csv", "my-alloy.toml", "references.bib"}
 
 
 def commands() -> dict[str, list[str]]:
@@ -66,6 +68,24 @@ def test_the_scene_file_is_one() -> None:
     scene = scene_of(options)
     assert [hold.name for hold in scene.holds] == ["slot"] and options.out == "runs/slotted-end"
     assert scene.geometry.parameters.length == 5e-3 and len(scene.alloys) == 2
+
+
+def test_the_alloy_of_ones_own_can_be_corroded() -> None:
+    scene = LifeCycle(EXAMPLES / "my-alloy.toml", "4w").scene
+    (alloy,) = scene.alloys
+    assert alloy.name == "Mg-example" and alloy.corrosion.interface_diffusivity == 2e-15
+    named = references(parameter_rows(scene), scene)  # its own sources, too
+    assert named["examplelab2026"] == "Nobody (2026). Numbers made up for an example."
+
+
+@pytest.mark.slow
+def test_an_alloy_of_ones_own(place) -> None:
+    printed = run("own_alloy.py", place)
+    assert (
+        "Mg-example" in printed
+        and "examplelab2026: Nobody (2026). Numbers made up for an example.\n" in printed
+    )
+    assert 0.5 < float(re.search(r"^0\.\d+$", printed, re.M)[0]) < 1.0
 
 
 @pytest.mark.slow

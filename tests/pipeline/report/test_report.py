@@ -101,7 +101,8 @@ def test_table_pictures_and_curves_are_complete(full):
 
 def test_every_assumed_value_and_only_used_sources_are_listed(full):
     path, page, _ = full
-    rows = provenance.parameter_rows(read_run(path).scene)
+    scene = read_run(path).scene
+    rows = provenance.parameter_rows(scene)
     listed = provenance.to_be_listed(rows)
     assert {row.kind for row in listed} == {"assumed", "fitted", "published_uncorrected"}
     names = [row.name for row in listed]
@@ -110,7 +111,7 @@ def test_every_assumed_value_and_only_used_sources_are_listed(full):
     for row in listed:
         assert row.value in page.sections["assumed"] and row.source and row.where
     sources = {row.source for row in rows if row.source}
-    assert set(provenance.references(rows)) == sources
+    assert set(provenance.references(rows, scene)) == sources
     assert page.sections["references"].count("doi:") <= len(sources)
 
 
