@@ -37,3 +37,18 @@ def scene_of(arguments: list[str]):
     parser = argparse.ArgumentParser()
     add_scene_options(parser)
     return scene_from_options(parser.parse_args(arguments))
+
+
+def typed(action: argparse.Action) -> tuple[list[str], object]:
+    """Something that the option can take, as typed and as a value in Python."""
+    if action.nargs == 0:
+        return [], True
+    if action.choices is not None:
+        return [action.choices[-1]], action.choices[-1]
+    if action.type is int:
+        return ["3"], 3
+    if action.type is float:
+        return ["0.25"], 0.25
+    if action.nargs in ("+", "*"):
+        return ["one", "two"], ["one", "two"]
+    return ["200um"], "200um"

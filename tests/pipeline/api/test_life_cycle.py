@@ -14,7 +14,7 @@ from pipeline import LifeCycle
 from pipeline.api.life_cycle import read_keywords
 from pipeline.cli import build_parser
 from pipeline.scene.arguments import options_of
-from tests.pipeline.command_line import scene_of
+from tests.pipeline.command_line import scene_of, typed
 
 ROOT = Path(__file__).resolve().parents[3]
 APART = {"json", "scene"}
@@ -27,21 +27,6 @@ def of_the_command() -> dict[str, argparse.Action]:
     (commands,) = (a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
     found = options_of(commands.choices["run"])
     return {name: action for name, action in found.items() if name not in APART}
-
-
-def typed(action: argparse.Action) -> tuple[list[str], object]:
-    """Something that the option can take, as typed and as a value in Python."""
-    if action.nargs == 0:
-        return [], True
-    if action.choices is not None:
-        return [action.choices[-1]], action.choices[-1]
-    if action.type is int:
-        return ["3"], 3
-    if action.type is float:
-        return ["0.25"], 0.25
-    if action.nargs in ("+", "*"):
-        return ["one", "two"], ["one", "two"]
-    return ["200um"], "200um"
 
 
 @pytest.mark.parametrize("name", of_the_command())

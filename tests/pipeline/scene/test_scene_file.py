@@ -15,7 +15,7 @@ from pipeline.run import every_option, scene_of
 from pipeline.scene.arguments import keyword, options_of
 from pipeline.scene.scene import Scene
 from pipeline.scene.scene_file import tables_of
-from tests.pipeline.command_line import refused
+from tests.pipeline.command_line import refused, typed
 
 OPTIONS = [
     *("--alloy", "Mg-10Gd", "Mg-5Gd", "--immersion", "1w", "8w", "--hold", "slot", "faces"),
@@ -60,6 +60,17 @@ def test_a_file_says_what_the_options_say(tmp_path, capsys) -> None:
     stored.write_text(json.dumps(scene.to_json()))
     again = scene_of(asked("--scene", str(stored), "--out", "runs/y"))
     assert again == scene and hashes(again) == hashes(scene)
+
+
+def test_every_option_comes_back_from_a_file(tmp_path, capsys) -> None:
+    given = []
+    for name, action in options_of(every_option()).items():
+        words, value = typed(action)
+        given += [action.option_strings[-1], *words]
+        assert action.default != value, name
+    path = written(capsys, tmp_path / "scene.toml", *given)
+    assert not commented(path.read_text())
+    assert vars(asked(str(path))) == vars(asked(*given))
 
 
 def test_what_is_typed_wins_wherever_the_file_stands(tmp_path, capsys) -> None:
