@@ -49,6 +49,7 @@ from pipeline.scene import published
 from pipeline.scene.errors import strength_error
 from pipeline.scene.holding import HOLDINGS
 from pipeline.scene.loads import LOADS, LoadNames
+from pipeline.scene.resolve import NO_PARAMETERS
 from pipeline.scene.scene import ScrewGeometry
 from pipeline.scene.units import format_bytes, format_length, format_seconds
 
@@ -116,6 +117,7 @@ def write_report(run_folder: Path | str) -> Path:
             published=_published(run),
             hold_times=[duration(t.seconds) for t in run.scene.immersion if t.seconds > 0],
             parameter_set=_parameter_set(run),
+            no_parameters=NO_PARAMETERS,
             preset=doubts.settings_name(run.scene),
             tables=[
                 (HOLDINGS[name], found)
