@@ -20,6 +20,8 @@ from scipy.ndimage import binary_erosion, distance_transform_edt
 from peri.corrosion.kinetics import Exposed
 from peri.corrosion.nodes.problem import COLUMNS, CorrosionProblem
 from peri.corrosion.scene import CorrosionScene
+from peri.coupled.bath import Bath, BathLiquid
+from peri.coupled.booking import element_error
 from peri.coupled.surroundings import HYDROGEN_PER_METAL, Surroundings
 from peri.engine.march.checkpoints import fingerprint
 from peri.engine.march.problem import BoundsError, Fields, Stage, State
@@ -43,7 +45,7 @@ _LIQUID_FIELDS = (
 )  # fmt: skip
 
 
-_LATTICE_FIELDS = ("minerals", "rest", "content")
+_LATTICE_FIELDS = ("minerals", "rest", "content", "bath")
 
 
 class Degradation(CorrosionProblem):
@@ -64,6 +66,7 @@ class Degradation(CorrosionProblem):
         which is the largest
     storage : follow the liquid's content; None: without a refreshed layer, and where the bound
         of leaving it out exceeds STORAGE_LIMIT
+    bath : of finite volume, which what leaves stays in; None: always fresh medium
 
     Raises
     ------
@@ -79,6 +82,7 @@ class Degradation(CorrosionProblem):
         solver_tolerance: float = 1e-9,
         minerals: bool | None = None,
         storage: bool | None = None,
+        bath: Bath | None = None,
     ) -> None:
         super().__init__(scene, solver_tolerance)
         self.medium, self.options = medium, options or TransportOptions()
@@ -89,7 +93,14 @@ class Degradation(CorrosionProblem):
             # The liquid's balance is no better than that of what the metal releases into it.
             self.discrete.tolerance = min(solver_tolerance, 1e-12)
         self.first = self._first_liquid()
-        self.follows_minerals = self.stores or (self._any_forms() if minerals is None else minerals)
+        self.bath = None if bath is None else BathLiquid(bath, medium)
+        if bath is not None and not self.discrete.fixed.any():
+            raise ValueError(
+                f"bath: the scene's boundary is '{scene.boundary}', which nothing leaves through; "
+                "a bath needs 'refreshed'"
+            )
+        evolves = self.stores or bath is not None
+        self.follows_minerals = evolves or (self._any_forms() if minerals is None else minerals)
         names = [m.name for m in medium.chemistry.minerals]
         self.columns = {**COLUMNS, "hydrogen_amount": "mol"}
         self.evolved = ("concentration",)
@@ -98,6 +109,10 @@ class Degradation(CorrosionProblem):
             self.columns |= {"highest_ph": "1", **{f"{n}_amount": "mol" for n in names}}
         if self.stores:
             self.evolved = (*self.evolved, "content")
+        if self.bath is not None:
+            self.evolved = (*self.evolved, "bath")
+            self.columns |= {"bath_ph": "1"}
+        if evolves:
             self.columns |= {"element_error": "1"}
 
     def key(self) -> str:
@@ -110,7 +125,7 @@ class Degradation(CorrosionProblem):
         return fingerprint(
             super().key(), self.medium.concentration, self.medium.ln_gamma, chemistry.names,
             chemistry.stoichiometry, chemistry.ln_k, chemistry.diffusivity, minerals, self.options,
-            self.follows_minerals, self.stores,
+            self.follows_minerals, self.stores, self.bath and self.bath.bath,
         )  # fmt: skip
 
     # --- the liquid -----------------------------------------------------------------------
@@ -166,6 +181,8 @@ class Degradation(CorrosionProblem):
 
     def liquid_at(self, state: State) -> LiquidState:
         """The liquid of a state of the march."""
+        if self.bath is not None:
+            self._hold(state.fields["bath"])
         if self.stores or (self.follows_minerals and state.time > 0):
             # As the last stage left it: its minerals' rates are those of that stage.
             return self._read(state.fields)
@@ -219,12 +236,15 @@ class Degradation(CorrosionProblem):
             state.fields["rest"] = np.zeros(shape)
             liquid = self.surroundings.liquid.rest()
             state.fields |= self._write(liquid)
+        names = self.medium.chemistry.components
+        if self.bath is not None:
+            state.fields["bath"] = self.bath.fresh.copy()
+        if self.stores or self.bath is not None:
+            state.numbers |= {"taken": 0.0, **{f"left_{n}": 0.0 for n in names}}
         if self.stores:
             totals = self.medium.chemistry.stoichiometry.T @ liquid.concentration
             empty = np.zeros((len(totals), *shape))
             state.fields["content"] = self._put(empty, totals)
-            names = self.medium.chemistry.components
-            state.numbers |= {"taken": 0.0, **{f"left_{n}": 0.0 for n in names}}
             state.numbers |= {
                 f"given_{n}": self.surroundings.space.total(t)
                 for n, t in zip(names, totals, strict=True)
@@ -275,8 +295,10 @@ class Degradation(CorrosionProblem):
                 state.numbers[f"given_{name}"] += around.space.total(np.where(fresh, row, 0.0))
 
     def begin(self, state: State) -> None:
-        """Note the minerals at the start of the step, which its stages may fall back to."""
+        """Note the minerals, which the stages may fall back to; exchange the bath where due."""
         super().begin(state)
+        if self.bath is not None and self.bath.bath.due(state.time):
+            state.fields["bath"] = self.bath.fresh.copy()
         self._at_start = state.fields.get("minerals")
 
     def bounded(self, fields: Fields) -> Fields:
@@ -284,8 +306,8 @@ class Degradation(CorrosionProblem):
         return {**fields, **super().bounded(fields)}
 
     def continues(self, first: Stage, right: Fields) -> bool:
-        """With storage, a mineral that vanishes takes a first-order step, which conserves it."""
-        if self.stores and right["minerals"].min(initial=0.0) < 0:
+        """Where elements are booked, a mineral that vanishes takes a first-order step."""
+        if (self.stores or self.bath is not None) and right["minerals"].min(initial=0.0) < 0:
             return False
         return super().continues(first, right)
 
@@ -304,26 +326,43 @@ class Degradation(CorrosionProblem):
             # the start of the step at first order, which is positive; the metal keeps its order.
             held, span = self._at_start, tau / GAMMA
         amounts = self._at(held)
-        try:
+
+        def solve(start: LiquidState) -> LiquidState:
             if isinstance(around.liquid, StoredLiquid):
                 content = self._at(old["content"])
-                start = self._read(guess.fields)
-                liquid = around.liquid.advance(source, content, tau, start, amounts)
-                totals = around.liquid.conserved(liquid, source, content, tau)
-                stage.fields["content"] = self._put(old["content"], totals)
-                names = self.medium.chemistry.components
-                left = around.liquid.leaving(liquid)
-                stage.rates |= {f"left_{n}": v for n, v in zip(names, left, strict=True)}
-                stage.rates["taken"] = around.space.total(source)
+                return around.liquid.advance(source, content, tau, start, amounts)
+            return around.liquid.solve(source, start, amounts, span)
+
+        try:
+            start = self._read(guess.fields)
+            if self.bath is None:
+                liquid = solve(start)
             else:
-                liquid = around.liquid.solve(source, self._read(guess.fields), amounts, span)
+                liquid, stage.fields["bath"] = self.bath.share(
+                    around.liquid, solve, start, old["bath"], tau
+                )
         except CompositionError as error:
             raise BoundsError(str(error)) from error
+        if isinstance(around.liquid, StoredLiquid):
+            totals = around.liquid.conserved(liquid, source, self._at(old["content"]), tau)
+            stage.fields["content"] = self._put(old["content"], totals)
+        if self.stores or self.bath is not None:
+            left = around.liquid.leaving(liquid)
+            names = self.medium.chemistry.components
+            stage.rates |= {f"left_{n}": v for n, v in zip(names, left, strict=True)}
+            stage.rates["taken"] = around.space.total(source)
         grown = amounts + span * liquid.rates
         grown[liquid.rates == -amounts / span] = 0.0  # all of it is gone, to the last digit
         stage.fields |= {"minerals": self._put(held, grown), **self._write(liquid)}
         stage.iterations += liquid.iterations
         return stage
+
+    # --- the bath -------------------------------------------------------------------------
+
+    def _hold(self, totals: np.ndarray) -> Solution:
+        """Give the refreshed layer the composition of the bath; returns that."""
+        assert self.bath is not None
+        return self.bath.hold(self.surroundings.liquid, totals)
 
     # --- what is written ------------------------------------------------------------------
 
@@ -338,7 +377,10 @@ class Degradation(CorrosionProblem):
         ph = around.liquid.ph(self._read(state.fields)).max(initial=-np.inf)
         amounts = self._at(state.fields["minerals"])
         row = (*row, float(ph), *(around.space.total(a) for a in amounts))
-        return (*row, self._element_error(state)) if self.stores else row
+        if self.bath is not None:
+            row = (*row, float(self._hold(state.fields["bath"]).ph[0]))
+        booked = self.stores or self.bath is not None
+        return (*row, self._element_error(state)) if booked else row
 
     def _dissolved(self, state: State, metal: float) -> float:
         """Metal that has become ions, mol: neither metal nor rest of a node that turned liquid."""
@@ -347,28 +389,15 @@ class Degradation(CorrosionProblem):
         return lost if rest is None else lost - self.surroundings.space.total(self._at(rest))
 
     def _element_error(self, state: State) -> float:
-        """Largest error of a component's balance over the whole march, over what there is of it.
-
-        Held at first or filled in, and taken up from the metal - dissolved in the composition that
-        was found, as minerals, and left.
-        """
-        around, numbers = self.surroundings, state.numbers
-        found = self._read(state.fields).concentration
-        held = self.medium.chemistry.stoichiometry.T @ found
-        if numbers["dissolved"]:  # new pores have a content, and no composition yet
-            held = self._at(state.fields["content"])
-        for mineral, amount in zip(
-            around.liquid.minerals, self._at(state.fields["minerals"]), strict=True
-        ):
-            held = held + mineral.nu[:, None] * amount
-        worst = 0.0
-        for n, name in enumerate(self.medium.chemistry.components):
-            given = numbers[f"given_{name}"]
-            released = float(around.liquid.released[n]) * numbers["taken"]
-            error = given + released - around.space.total(held[n]) - numbers[f"left_{name}"]
-            scale = abs(given) + abs(released)
-            worst = max(worst, abs(error) / scale if scale > 0 else abs(error))
-        return worst
+        """See booking.element_error."""
+        around, fields = self.surroundings, state.fields
+        held = np.zeros((len(self.medium.chemistry.components), around.space.n))
+        if self.stores and state.numbers["dissolved"]:
+            held = self._at(fields["content"])  # new pores have no composition yet
+        elif self.stores:
+            held = self.medium.chemistry.stoichiometry.T @ self._read(fields).concentration
+        amounts = self._at(fields["minerals"])
+        return element_error(around.liquid, held, amounts, state.numbers, self.stores)
 
     def snapshot(self, state: State) -> dict[str, np.ndarray | float]:
         """The metal's snapshot, and the liquid's composition on the lattice.
@@ -384,12 +413,13 @@ class Degradation(CorrosionProblem):
         found = self.liquid_at(state)
         source = self._source(state)
         concentration = liquid.neutral_concentration(found)
-        edge = self.medium.concentration[:, 0]
+        bath = self.medium if self.bath is None else self._hold(state.fields["bath"])
+        edge = bath.concentration[:, 0]
         strength = 0.5 * liquid.chemistry.charge**2 @ concentration
         charge = np.abs(liquid.chemistry.charge @ concentration) / strength
         out = super().snapshot(state)
         volt = liquid.thermal_voltage
-        out["ph"] = space.crop(liquid.ph(found), float(self.medium.ph[0])).astype(np.float32)
+        out["ph"] = space.crop(liquid.ph(found), float(bath.ph[0])).astype(np.float32)
         out["potential"] = space.crop(volt * found.psi, 0.0).astype(np.float32)
         out["species"] = np.array(
             [space.crop(c, e) for c, e in zip(concentration, edge, strict=True)], np.float32
@@ -403,7 +433,7 @@ class Degradation(CorrosionProblem):
         # Phases may have changed after the last stage; then its balance is that of the step before.
         known = not self.follows_minerals or not state.numbers["dissolved"]
         balance = 0.0
-        if self.stores:
+        if self.stores or self.bath is not None:
             balance = self._element_error(state)
         elif source.any() and known:
             balance = float(liquid.balance(found, source).max())

@@ -135,7 +135,7 @@ class QuasiSteadyLiquid:
         self.b = conditional_constants(chemistry, medium.ln_gamma, medium.ln_water)
         self._mineral_constant = mineral_constants(chemistry, medium.ln_gamma, medium.ln_water)
         self.composer = Composer(nu, d)
-        self.bulk = (nu.T @ (d * medium.concentration[:, 0]))[:, None]
+        self.hold(medium.concentration[:, 0])
         self.minerals = [
             MineralField(
                 mineral.name,
@@ -151,6 +151,13 @@ class QuasiSteadyLiquid:
         if self.needs_a_way_out:
             self.plain = space.system()
         self.inert = self._inert()
+
+    def hold(self, concentration: np.ndarray) -> None:
+        """Give the refreshed layer another composition, (K,), mol/m3; it must be neutral."""
+        self.edge = np.array(concentration)
+        chemistry = self.chemistry
+        weighted = chemistry.diffusivity * self.edge
+        self.bulk = (chemistry.stoichiometry.T @ weighted)[:, None]
 
     def _charge_groups(self) -> list[tuple[int, float, np.ndarray]]:
         """Per component and charge number: the weights nu_ke D_k of the species that carry it."""
@@ -207,7 +214,7 @@ class QuasiSteadyLiquid:
         psi = space.spread(state.psi)
         weights = np.array([w for _, _, w in self._groups])
         values = weights @ state.concentration
-        held = weights @ self.medium.concentration[:, 0]
+        held = weights @ self.edge
         shrunk = {
             z: space.sum(space.all_volume * np.expm1(-0.5 * z * psi))
             for z in {z for _, z, _ in self._groups}

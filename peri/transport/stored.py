@@ -160,7 +160,7 @@ class StoredLiquid(QuasiSteadyLiquid):
         inert = self.chemistry.diffusivity[self.inert]
         closed = not self._open_space.exit.any()
         stiffness = float(np.linalg.norm(space.volume * space.degree))
-        mixing = _Anderson()
+        mixing = Mixing()
         size = np.abs(self.content(state)).max(axis=1) / self._slowness
         size = np.maximum(size, 1e-6 * size.max())
         for round_ in range(_MAXIMUM_ROUNDS):
@@ -216,7 +216,7 @@ class StoredLiquid(QuasiSteadyLiquid):
                 self._compose_between(state, before)
             except CompositionError:
                 state.migrated, state.psi = new, psi
-                mixing = _Anderson()
+                mixing = Mixing()
                 self._compose_between(state, before)
             self._grow(state, there, span, 0.1 * absolute)
         raise ConvergenceError(
@@ -275,8 +275,8 @@ class StoredLiquid(QuasiSteadyLiquid):
         return np.abs(gained - formed - left - stored) / np.maximum(scale, reference)
 
 
-class _Anderson:
-    """Mixing of the last rounds of a fixed point x = f(x) so that the residual is least."""
+class Mixing:
+    """Anderson's: the last rounds of a fixed point x = f(x), so that the residual is least."""
 
     def __init__(self) -> None:
         self._x: list[np.ndarray] = []

@@ -91,6 +91,7 @@ def speciate(
     gas: Mapping[str, float] | None = None,
     constant: float | None = None,
     start: np.ndarray | None = None,
+    held: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Solution:
     """Return the equilibrium composition for totals of the components.
 
@@ -105,6 +106,8 @@ def speciate(
         leaves as keeps this activity; the totals of its components follow)
     constant : A of the Debye-Hueckel law (default: that of the temperature)
     start : (E, n) ln of the free components to start from
+    held : ln gamma (K, 1) and ln of the water's activity (1,) to use in the place of those of
+        `activity`
 
     Raises
     ------
@@ -133,11 +136,13 @@ def speciate(
     ln_water = np.zeros(n)
     amounts = np.zeros((len(known), n))
     for _ in range(_MAXIMUM_ROUNDS):
-        ln_gamma = (
-            np.zeros((len(chemistry.names), n))
-            if activity == "ideal"
-            else davies(chemistry.charge, strength_now, a)
-        )
+        if held is not None:
+            ln_gamma = np.broadcast_to(held[0], (len(chemistry.names), n))
+            ln_water = np.broadcast_to(held[1], (n,))
+        elif activity == "ideal":
+            ln_gamma = np.zeros((len(chemistry.names), n))
+        else:
+            ln_gamma = davies(chemistry.charge, strength_now, a)
         b = conditional_constants(chemistry, ln_gamma, ln_water)
         phases = _phases(chemistry, ln_gamma, ln_water, minerals, gas or {})
         if phases.nu.shape[0]:
@@ -145,7 +150,7 @@ def speciate(
         else:
             composer.solve(target, b, m)
         concentration = composer.concentrations(m, b)
-        if activity == "ideal":
+        if activity == "ideal" or held is not None:
             break
         new_water = ln_water_activity(concentration)
         new_strength = ionic_strength(chemistry.charge, concentration)
@@ -271,6 +276,10 @@ def saturate(
         return amount
     present = ~((target <= 0) & composer.only_positive[:, None])
     m[:] = np.where(present | (np.abs(nu).sum(axis=0) > 0)[:, None], np.maximum(m, -600.0), ABSENT)
+    # A component that comes in newly starts from its total, not from next to nothing.
+    new = composer.only_positive[:, None] & (target > 0) & (m <= -600.0)
+    weight = composer.weight[: target.shape[0], None]
+    m[new] = np.log(np.where(new, target, 1.0) / weight)[new]
     before = np.full(n, np.inf)
     for _ in range(_MAXIMUM_ROUNDS):
         concentration = composer.concentrations(m, b)
