@@ -127,7 +127,40 @@ def error_estimate(run: RunResults) -> str:
     return f"{_volume_loss_error(run)} {' '.join(_strength_error(run, h) for h in run.scene.holds)}"
 
 
+def own_errors(run: RunResults) -> dict[str, float]:
+    """What each alloy's march with rate classes found of its error by itself, relative, of V_L."""
+    found = {alloy.name: alloy.corrosion_numbers.get("sampling_error") for alloy in run.alloys}
+    return {name: float(error) for name, error in found.items() if _finite(error)}
+
+
+def _by_itself(run: RunResults, own: dict[str, float]) -> str:
+    """The errors that the run found by itself, and what they do not hold."""
+    errors = ", ".join(f"{percent(error, 2)} for {name}" for name, error in own.items())
+    liquid = [
+        alloy.name
+        for alloy in run.alloys
+        if not any(
+            isinstance(o, dict) and o.get("name") == "liquid" and o.get("applied")
+            for o in alloy.corrosion_numbers.get("omissions", [])
+        )
+    ]
+    more = "time steps" + f" and the liquid of {' and '.join(liquid)}" * bool(liquid)
+    return (
+        f"The run itself finds the volume loss off by about {errors} of its value because the "
+        "solid's surface was sampled: by the change with parts twice as wide, and with all samples "
+        f"instead of rate classes; {more} come on top."
+    )
+
+
 def _volume_loss_error(run: RunResults) -> str:
+    own = own_errors(run)
+    if own:
+        return _by_itself(run, own) + (" " + _studied(run) if corrosion_error(run.scene) else "")
+    return _studied(run)
+
+
+def _studied(run: RunResults) -> str:
+    """What the study of the presets says of these settings."""
     known = corrosion_error(run.scene)
     if known is None:
         return (
@@ -210,6 +243,12 @@ def in_short(run: RunResults, assumed: int) -> str:
     error = "the discretisation error is not measured yet"
     if given:
         error = str(given)
+    elif own := own_errors(run):
+        most = max(own.values())
+        error = f"discretisation error of the volume loss about {percent(most, 1)} by its own check"
+        tensile = tensile_error(run.scene, run.scene.holds[0])
+        if tensile is not None:
+            error += f", of the strength left of the shank up to {percent(tensile.error, 1)}"
     elif known is not None:
         most = max(known.of(alloy.name) for alloy in run.scene.alloys)
         error = f"discretisation error of the volume loss up to {percent(most, 1)}"

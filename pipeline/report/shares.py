@@ -6,6 +6,7 @@ import math
 
 from pipeline.record.doubts import HoldDoubts, Source
 from pipeline.record.run_results import RunResults
+from pipeline.report.doubts import own_errors
 from pipeline.report.wording import duration, percent
 from pipeline.scene.errors import corrosion_error, tensile_error
 from pipeline.scene.holding import HOLDINGS
@@ -57,6 +58,9 @@ def all_sources(run: RunResults, one: HoldDoubts) -> list[Source]:
     basis = unknown
     if lattice is not None:
         basis = f"{percent(lattice.of(one.alloy), 1)} of the volume loss at most"
+    elif one.alloy in (own := own_errors(run)):
+        bound = abs(one.slope) * own[one.alloy] * one.volume_loss
+        basis = f"about {percent(own[one.alloy], 2)} of the volume loss by the run's own check"
     sources.append(_bounded("lattice and time steps", bound, one.strength_left, basis))
     bound = None if mesh is None else mesh.error * one.strength_left
     basis = unknown if mesh is None else f"{percent(mesh.error, 1)} of the strength left at most"

@@ -13,7 +13,7 @@ def corrosion_error(scene: Scene) -> CorrosionError | None:
     if preset is None or not (
         scene.geometry == ScrewGeometry()
         and _alike(scene.lattice, preset, spacing="spacing", horizon="horizon")
-        and _alike(scene.corrosion, preset, rate_change="rate_change")
+        and _alike(scene.corrosion, preset, rate_change="rate_change", classes="classes")
         and _default(scene.corrosion, "scheme", "step", "saturation", "dissolution")
         and _default(scene.corrosion, "kinetics", "calibration", "influence", "coating")
     ):

@@ -63,14 +63,15 @@ class Resolution:
 
     spacing: lattice spacing; horizon: thickness of the corroded layer, a material length
     that stays the same in all presets; rate_change: what controls the time step
-    (engine.march.marching); mesh_size, mesh_size_fine: edge length in the bulk, and at thread and
-    slot;
-    increment: largest nominal strain step of the tensile test.
+    (engine.march.marching); classes: rate classes with which its error was measured, 0 for one rate
+    per node; mesh_size, mesh_size_fine: edge length in the bulk, and at thread and slot; increment:
+    largest nominal strain step of the tensile test.
     """
 
     spacing: float
     horizon: float
     rate_change: float
+    classes: int
     mesh_size: float
     mesh_size_fine: float
     element: str
@@ -107,6 +108,7 @@ def _corrosion(table: dict, name: str) -> dict:
         "spacing": entry["horizon"] / entry["horizon_ratio"],
         "horizon": entry["horizon"],
         "rate_change": entry["rate_change"],
+        "classes": entry.get("classes", 0),
         "corrosion_error": CorrosionError(
             entry["error"],
             {alloy: numbers["time_error"] for alloy, numbers in measured.items()},

@@ -26,6 +26,7 @@ from peri.engine.march.marching import TimeStepping
 from peri.engine.omission import Omission
 from peri.engine.surface.rate_classes import CellExposure
 from peri.omissions.planning import corrode_lean, plan_omissions
+from peri.omissions.sampling_error import sampling_error
 from pipeline.geometry.cell_shares import cell_shares
 from pipeline.geometry.surface import Solid
 from pipeline.geometry.voxels import metal_fraction
@@ -235,6 +236,14 @@ def march_omissions(scene: Scene, solid: Solid) -> list[tuple[str, Omission]]:
     return found
 
 
+def _sampling_error(corrosion: CorrosionScene, times: list[float]) -> float | None:
+    """Error of V_L by the run's own sampling of the surface; None without rate classes."""
+    later = [time for time in times if time > 0]
+    if corrosion.exposure is None or not later:
+        return None
+    return sampling_error(corrosion, later)
+
+
 def corrode_in_folder(
     scene: Scene,
     alloy: str,
@@ -306,6 +315,7 @@ def corrode_in_folder(
         "metal_nodes": int(corrosion.metal.sum()),
         "bonds_per_node": corrosion.stencil.bonds,
         **_rates(scene, alloy, corrosion),
+        "sampling_error": _sampling_error(corrosion, times),
         "omissions": [
             {**asdict(o), "bound": o.bound if math.isfinite(o.bound) else None} for o in omissions
         ],

@@ -18,6 +18,7 @@ from peri.engine.march.checkpoints import fingerprint
 from peri.engine.surface.rate_classes import (
     CellExposure,
     RateClasses,
+    Rates,
     cell_exposure,
 )
 from peri.engine.surface.sampling import default_finest
@@ -27,6 +28,8 @@ from pipeline.geometry.surface import Solid
 logger = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
+_FORMAT = 2
+"""Raised with every change of what is kept, or of how it is sampled."""
 _SAMPLES = 16
 """Samples per axis of a cell that the domain's edge cuts: its volume to 1e-4."""
 
@@ -50,13 +53,14 @@ def solid_exposure(
     mark = fingerprint(
         surface.vertices, surface.facets, lattice.origin, lattice.spacing, lattice.shape,
         float(horizon), fraction, classes, float(kernel_exponent), influence,
-        default_finest(lattice, horizon),
+        default_finest(lattice, horizon), _FORMAT,
     )  # fmt: skip
     kept = None if folder is None else folder / f"exposure-{mark[:16]}.npz"
     if kept is not None and kept.exists():
         with np.load(kept) as stored:
             metal = RateClasses(stored["cell"], stored["volume"], stored["exposure"], fraction)
-            return CellExposure(metal, stored["liquid"])
+            rates = (Rates(*stored[name]) for name in ("sampled", "coarser"))
+            return CellExposure(metal, stored["liquid"], None, None, *rates)
     found = cell_exposure(
         lattice, surface, horizon, fraction, classes,
         kernel_exponent=kernel_exponent, influence=influence,
@@ -66,9 +70,15 @@ def solid_exposure(
         np.savez(
             temporary, cell=found.metal.cell, volume=found.metal.volume,
             exposure=found.metal.exposure, liquid=found.liquid,
+            sampled=_rows(found.sampled), coarser=_rows(found.coarser),
         )  # fmt: skip
         os.replace(temporary, kept)
     return found
+
+
+def _rows(rates: Rates | None) -> Array:
+    assert rates is not None  # cell_exposure gives them
+    return np.stack([rates.volume, rates.exposure])
 
 
 def share_of_ball(lattice: Lattice, centre: tuple[float, ...], radius: float) -> Array:

@@ -84,7 +84,7 @@ class Cells:
         self.cell = places[self.sum.interior].ravel()[exposed.metal.cell]
         self.initial_volume = exposed.metal.volume
         self.initial_bond_sum = class_bond_sums(scene)
-        self.liquid_bond_sum = self.sum.pad(_constant(scene) * exposed.liquid)
+        self.liquid_bond_sum = self.sum.pad(constant_of(scene) * exposed.liquid)
         inside = scene.domain if exposed.inside is None else exposed.inside * scene.domain
         held = scene.refreshed() if exposed.held is None else exposed.held
         share = self.sum.pad(inside) - self.sum.pad(exposed.metal.fraction)
@@ -424,8 +424,9 @@ class _Bonds:
 
 def class_bond_sums(scene: CorrosionScene) -> Array:
     """G = K Lambda of each class of a scene, 1/m^2; times D_int its rate in clean liquid."""
-    return _constant(scene) * scene.exposure.metal.exposure
+    return constant_of(scene) * scene.exposure.metal.exposure
 
 
-def _constant(scene: CorrosionScene) -> float:
+def constant_of(scene: CorrosionScene) -> float:
+    """K, by which an exposure becomes a bond sum, 1/m^2."""
     return float(closed_constant(3, scene.horizon, scene.kernel_exponent, scene.influence))

@@ -15,11 +15,13 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from peri.engine.lattice import Lattice
-from peri.engine.surface.sampling import sample_metal
+from peri.engine.surface.sampling import Samples, default_finest, sample_metal
 from peri.engine.surface.triangles import Array, Surface
 
 CLASSES = 3
 """Default P: 0.002 % of V_L from all samples at delta/2 on the reference screw (P = 2: 0.14 %)."""
+_GROUPS = 2000
+"""Groups of like exposures that stand for all samples of a solid."""
 
 
 @dataclass(frozen=True)
@@ -39,18 +41,30 @@ class RateClasses:
 
 
 @dataclass(frozen=True)
+class Rates:
+    """What the metal of a solid sees, cells aside: volumes (relative to a cell's) by exposure."""
+
+    volume: NDArray[np.float64]
+    exposure: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
 class CellExposure:
     """What a corrosion scene knows of its surface.
 
     metal : classes of the metal.  liquid : lattice array, mean exposure of each cell's liquid.
     inside, held : lattice arrays, the shares of each cell that lie in the domain and that are
     held at zero concentration (within the horizon of its edge); by nodes where left out.
+    sampled, coarser : all samples that the classes stand for, and those of parts twice as wide;
+    peri.omissions.sampling_error makes an error of V_L of them.
     """
 
     metal: RateClasses
     liquid: NDArray[np.float64]
     inside: NDArray[np.float64] | None = None
     held: NDArray[np.float64] | None = None
+    sampled: Rates | None = None
+    coarser: Rates | None = None
 
 
 def cell_exposure(
@@ -63,12 +77,38 @@ def cell_exposure(
     influence: str = "constant",
     finest: float | None = None,
 ) -> CellExposure:
-    """Both sides of a surface on a lattice; arguments and errors of `rate_classes`."""
-    kernel = (kernel_exponent, influence, finest)
-    return CellExposure(
-        rate_classes(lattice, surface, horizon, fraction, classes, *kernel),
-        liquid_exposure(lattice, surface, horizon, fraction, *kernel),
+    """Both sides of a surface on a lattice; arguments and errors of `rate_classes`.
+
+    The liquid's parts are twice as wide: of its exposure only the mean of each cell counts, and
+    that only by where the flux arrives.
+    """
+    finest = default_finest(lattice, horizon) if finest is None else finest
+    _check(lattice, fraction, classes, kernel_exponent)
+    kernel = (kernel_exponent, influence)
+    samples, coarser = (
+        sample_metal(lattice, surface, horizon, fraction, *kernel, size)
+        for size in (finest, 2.0 * finest)
     )
+    return CellExposure(
+        _classes_of(samples, fraction, classes),
+        liquid_exposure(lattice, surface, horizon, fraction, *kernel, 2.0 * finest),
+        sampled=_merged(samples, fraction),
+        coarser=_merged(coarser, fraction),
+    )
+
+
+def _merged(samples: Samples, fraction: NDArray[np.float64]) -> Rates:
+    """All samples in groups of like exposures, and the metal that sees no liquid."""
+    there = samples.volume > 0
+    order = np.argsort(samples.exposure[there])
+    volume, value = samples.volume[there][order], samples.exposure[there][order]
+    starts = np.unique(np.linspace(0, volume.size, _GROUPS, endpoint=False).astype(int))
+    if not volume.size:
+        return Rates(np.array([fraction.sum()]), np.zeros(1))
+    held = np.add.reduceat(volume, starts)
+    mean = np.add.reduceat(volume * value, starts) / held
+    deep = max(0.0, float(fraction.sum() - held.sum()))
+    return Rates(np.append(held, deep), np.append(mean, 0.0))
 
 
 def gauss_rule(
@@ -197,6 +237,14 @@ def rate_classes(
     ValueError
         One sentence naming argument, value and what is allowed.
     """
+    _check(lattice, fraction, classes, kernel_exponent)
+    samples = sample_metal(lattice, surface, horizon, fraction, kernel_exponent, influence, finest)
+    return _classes_of(samples, fraction, classes)
+
+
+def _check(
+    lattice: Lattice, fraction: NDArray[np.float64], classes: int, kernel_exponent: float
+) -> None:
     if classes < 1:
         raise ValueError(f"classes: {classes}; a cell needs at least one")
     if not kernel_exponent < 0.5:
@@ -206,7 +254,10 @@ def rate_classes(
         )
     if fraction.shape != lattice.shape or not (fraction.min() >= 0 and fraction.max() <= 1):
         raise ValueError(f"fraction: it must be {lattice.shape} with values from 0 to 1")
-    samples = sample_metal(lattice, surface, horizon, fraction, kernel_exponent, influence, finest)
+
+
+def _classes_of(samples: Samples, fraction: NDArray[np.float64], classes: int) -> RateClasses:
+    """The Gauss rules of the cells' samples; cells without samples get one class of exposure 0."""
     volume, rate = gauss_rule(samples.volume, samples.exposure, classes)
     cell = np.repeat(samples.cell, classes)
     deep = np.setdiff1d(np.flatnonzero(fraction), samples.cell, assume_unique=True)

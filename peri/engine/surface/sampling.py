@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from peri.engine.lattice import Lattice
-from peri.engine.surface.exposure import FAR, exposure
+from peri.engine.surface.exposure import exposure
 from peri.engine.surface.triangles import Array, Surface, signed_distance
 
 _APART = 0.6
@@ -28,6 +28,8 @@ _BENT = 0.1
 """A part is bent, and halved, where depths in it differ from a plane's by that much of its size."""
 _BENT_FINER = 4.0
 """Bent parts are halved down to this share of the finest size."""
+_FAR = 2.5
+"""Triangles this many of their radii away take three points: 0.003 % of V_L, half the time of 4."""
 _SLICES = 12
 """Slices of a part by depth, their edges graded by the square towards the surface."""
 _GRADE = 2.0
@@ -234,7 +236,7 @@ def _excess(points: Array, depth: Array, side: _Side, kernel: tuple[float, float
     """Exposure of points beyond that of a flat front at their depth; 0 off the metal."""
     good = depth > 1e-9 * kernel[0]
     out = np.zeros(len(points))
-    out[good] = side.sign * exposure(points[good], side.surface, *kernel, far=FAR)
+    out[good] = side.sign * exposure(points[good], side.surface, *kernel, far=_FAR)
     out[good] -= flat_profile(depth[good], *kernel)
     return out
 

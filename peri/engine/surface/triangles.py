@@ -296,6 +296,15 @@ def _on(a: Triple, s: float, along: Triple) -> Triple:
     return a[0] + s * along[0], a[1] + s * along[1], a[2] + s * along[2]
 
 
+@njit(cache=True, inline="always")
+def _corners(corners: Array, t: int) -> tuple[Triple, Triple, Triple]:
+    return (
+        (corners[t, 0, 0], corners[t, 0, 1], corners[t, 0, 2]),
+        (corners[t, 1, 0], corners[t, 1, 1], corners[t, 1, 2]),
+        (corners[t, 2, 0], corners[t, 2, 1], corners[t, 2, 2]),
+    )
+
+
 @njit(cache=True)
 def _closest(a: Triple, b: Triple, c: Triple, x: Triple) -> tuple[Triple, int]:
     """Closest point of a triangle and its feature: 0 inside, 1..3 edges, 4..6 vertices."""
@@ -352,31 +361,34 @@ def _nearest(
         near = in_reach(
             box_low, box_high, centre, radius, starts, items, first, lower, cell, shape, reach
         )
+        last = -1  # the triangle nearest to the point before, which is close by
         for i in range(begin, end):
             x = (points[i, 0], points[i, 1], points[i, 2])
-            best = reach
-            bound = reach
+            best, nearest, feature = reach, -1, 0
+            y = x
+            if last >= 0:
+                tried, part = _closest(*_corners(corners, last), x)
+                distance = math.sqrt(_dot(_less(tried, x), _less(tried, x)))
+                if distance < best:
+                    best, nearest, feature, y = distance, last, part, tried
             for t in near:
                 gx, gy, gz = centre[t, 0] - x[0], centre[t, 1] - x[1], centre[t, 2] - x[2]
-                bound = min(bound, math.sqrt(gx * gx + gy * gy + gz * gz) + radius[t])
-            for t in near:
-                gx, gy, gz = centre[t, 0] - x[0], centre[t, 1] - x[1], centre[t, 2] - x[2]
-                limit = min(best, bound) + radius[t]
-                if gx * gx + gy * gy + gz * gz > limit * limit * (1.0 + 1e-12):
+                limit = best + radius[t]
+                if t == last or gx * gx + gy * gy + gz * gz > limit * limit:
                     continue
-                one = (corners[t, 0, 0], corners[t, 0, 1], corners[t, 0, 2])
-                two = (corners[t, 1, 0], corners[t, 1, 1], corners[t, 1, 2])
-                three = (corners[t, 2, 0], corners[t, 2, 1], corners[t, 2, 2])
-                y, feature = _closest(one, two, three, x)
-                away = _less(y, x)
-                distance = math.sqrt(_dot(away, away))
-                if distance < best or (distance == best and not depth[i] == depth[i]):
-                    best = distance
-                    p = (pseudo[t, feature, 0], pseudo[t, feature, 1], pseudo[t, feature, 2])
-                    inside = _dot(away, p) >= 0.0
-                    depth[i] = distance if inside else -distance
-                    for k in range(3):
-                        inward[i, k] = -normal[t, k]
-                        if distance > 1e-12:
-                            inward[i, k] = (-away[k] if inside else away[k]) / distance
+                tried, part = _closest(*_corners(corners, t), x)
+                distance = math.sqrt(_dot(_less(tried, x), _less(tried, x)))
+                if distance < best:
+                    best, nearest, feature, y = distance, t, part, tried
+            last = nearest
+            if nearest < 0:
+                continue
+            away = _less(y, x)
+            normals = pseudo[nearest, feature]
+            inside = _dot(away, (normals[0], normals[1], normals[2])) >= 0.0
+            depth[i] = best if inside else -best
+            for k in range(3):
+                inward[i, k] = -normal[nearest, k]
+                if best > 1e-12:
+                    inward[i, k] = (-away[k] if inside else away[k]) / best
     return depth, inward

@@ -22,9 +22,8 @@ from pipeline.scene.screw import ScrewParameters
 def run_of(**changes):
     """As much of a run as the doubts about its discretisation look at."""
     scene = resolve_scene(["Mg-5Gd", "Mg-10Gd"], ["0w", "8w"], **changes)
-    return SimpleNamespace(
-        scene=scene, scene_extras={}, records=(), alloys=scene.alloys, geometry={}
-    )
+    alloys = [SimpleNamespace(name=alloy.name, corrosion_numbers={}) for alloy in scene.alloys]
+    return SimpleNamespace(scene=scene, scene_extras={}, records=(), alloys=alloys, geometry={})
 
 
 def test_each_preset_is_surer_than_the_one_before_it():
@@ -139,3 +138,15 @@ def test_another_solid_has_no_error_and_a_warning_where_a_wall_is_thin(feature, 
     assert "volume loss has not been measured for this solid" in text
     assert not re.search(r"\d %", text)
     assert ("lattice spacings; below 4" in text) == warned
+
+
+def test_a_run_with_rate_classes_says_what_it_found_of_its_error_itself():
+    run = run_of(geometry=ScrewGeometry(ScrewParameters(thread="none")), corrosion={"classes": 3})
+    for alloy, error, applied in zip(run.alloys, (0.0032, 0.0041), (True, False), strict=True):
+        omission = {"name": "liquid", "applied": applied}
+        alloy.corrosion_numbers = {"sampling_error": error, "omissions": [omission]}
+    text = doubts.error_estimate(run)
+    assert "off by about 0.32 % for Mg-5Gd, 0.41 % for Mg-10Gd" in text
+    assert "time steps and the liquid of Mg-10Gd come on top" in text
+    assert "has not been measured for this solid, lattice" not in text
+    assert "volume loss about 0.4 % by its own check" in doubts.in_short(run, 3)
