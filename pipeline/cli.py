@@ -19,6 +19,7 @@ from pipeline.campaigns.options import add_campaign_options, add_design_options
 from pipeline.compare.command import add_compare_options
 from pipeline.completion import add_completion_options, print_completion
 from pipeline.export.command import add_export_options
+from pipeline.measured.command import add_compare_image_options
 from pipeline.record import interruption
 from pipeline.record.machine import prepare_libraries
 from pipeline.record.options import add_folder_options, add_machine_options
@@ -79,6 +80,8 @@ def build_parser() -> argparse.ArgumentParser:
     add_folder_options(add("report", _report, "summary.csv and report.html of a run folder"))
     export = add("export", _export, "a corroded solid of a run folder for another program")
     add_export_options(export)
+    measured = add("compare-image", _compare_image, "the loss in a later scan beside the computed")
+    add_compare_image_options(measured)
     compare = add("compare", _compare, "several run folders over each other in one page")
     add_compare_options(compare)
     plan = add("plan", _plan, "what a run would compute, what not and why, time and memory")
@@ -276,6 +279,13 @@ def _stages(options: argparse.Namespace, action: Callable, stage: str = "") -> i
             check_stage(folder, scene, stage, ranks, workers)
         cycle = LifeCycle(scene, folder, ranks=ranks, workers=workers, progress=progress)
         action(cycle, alloys, tests)
+    return 0
+
+
+def _compare_image(options: argparse.Namespace) -> int:
+    from pipeline.measured.command import compare_image
+
+    compare_image(options, print)
     return 0
 
 

@@ -108,6 +108,7 @@ BELOW = {
         "calibration": {"scene", "geometry", "record", "stages"},
         "export": {"scene", "geometry", "record", "stages"},
         "compare": {"scene", "record", "report"},
+        "measured": {"scene", "geometry", "stages", "export"},
         "completion": set(),
         "scenes": {"scene", "record"},
         "life_cycle": {"scene", "geometry", "record", "stages", "report"},
@@ -144,6 +145,7 @@ BELOW = {
             "compare",
             "completion",
             "scenes",
+            "measured",
         },
     },
 }

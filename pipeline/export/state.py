@@ -17,7 +17,7 @@ from perilife_data import did_you_mean
 from pipeline.geometry.mesh import read_mesh
 from pipeline.record.run_folder import RunFolder, RunFolderError
 from pipeline.record.stage_hashes import corrosion_hash, geometry_hash, map_hash, pull_hash
-from pipeline.scene.scene import HoldScene, MaterialParameters, Scene, scene_from_json
+from pipeline.scene.scene import AlloyScene, HoldScene, MaterialParameters, Scene, scene_from_json
 from pipeline.scene.units import ImmersionTime, parse_time
 from pipeline.stages.corrosion import CORROSION_FILE
 from pipeline.stages.mapping import DAMAGE_FILE, read_damage
@@ -77,10 +77,7 @@ def read_state(
     """
     folder = RunFolder(run)
     scene = _scene(folder)
-    names = [a.name for a in scene.alloys]
-    if alloy is None and len(names) > 1:
-        raise ValueError(f"the run has several alloys; say which with --alloy: {', '.join(names)}")
-    chosen = scene.alloy(alloy or names[0])
+    chosen = _alloy(scene, alloy)
     way = scene.hold(hold) if hold is not None else scene.holds[0]
     moment = _moment(scene, time)
     place = folder.test(chosen.name, moment.label, way.name)
@@ -105,6 +102,29 @@ def read_state(
         corrosion=march / CORROSION_FILE,
         curve=_columns(place / CURVE_FILE) if pulled else {},
     )
+
+
+def read_march(
+    run: str | Path, time: str, alloy: str | None = None
+) -> tuple[Scene, Path, Path, ImmersionTime]:
+    """Scene, folder of the geometry, corrosion file and time: what a march alone leaves.
+
+    Arguments and errors as those of `read_state`; no damage needs to have been mapped.
+    """
+    folder = RunFolder(run)
+    scene = _scene(folder)
+    chosen, moment = _alloy(scene, alloy), _moment(scene, time)
+    march = folder.corrosion(chosen.name)
+    _whole(folder, folder.geometry, "geometry", geometry_hash(scene))
+    _whole(folder, march, "corrode", corrosion_hash(scene, chosen.name))
+    return scene, folder.geometry, march / CORROSION_FILE, moment
+
+
+def _alloy(scene: Scene, name: str | None) -> AlloyScene:
+    names = [a.name for a in scene.alloys]
+    if name is None and len(names) > 1:
+        raise ValueError(f"the run has several alloys; say which with --alloy: {', '.join(names)}")
+    return scene.alloy(name or names[0])
 
 
 def _scene(folder: RunFolder) -> Scene:

@@ -42,11 +42,6 @@ def solid_from_image(source: ImageFile) -> Solid:
     """
     path = Path(source.path)
     mask, facts = metal_of_image(read_image(path, source.voxel), source, path.name)
-    if facts["removed_voxels"]:
-        logger.warning(
-            "%s: metal that hangs on nothing is left out, bodies %d, voxels %d",
-            path.name, facts["removed_bodies"], facts["removed_voxels"],
-        )  # fmt: skip
     points, triangles, level = level_surface(mask, path.name)
     check_surface(points, triangles, path.name)
     solid = solid_of_surface(path.name, points, triangles)
@@ -83,6 +78,11 @@ def metal_of_image(image: Image, source: ImageFile, name: str) -> tuple[VoxelMas
             f"{name} has {bodies} bodies of metal, the second {second:.2g} of the first; it must "
             f"have one, beside which at most {MOST_REMOVED:.0%} of the metal hang on nothing"
         )
+    if removed:
+        logger.warning(
+            "%s: metal that hangs on nothing is left out, bodies %d, voxels %d",
+            name, bodies - 1, removed,
+        )  # fmt: skip
     box = ndimage.find_objects(label, largest)[largest - 1][::-1]
     metal = label.T[box] == largest
     del label
