@@ -14,7 +14,7 @@ from fem.solvers import SOLVERS
 
 MORE_TRIED, TRIED_EACH = 200, 10
 """Of `TensileSettings.most_tried`: raising them costs time where a test gets nowhere. Measured by
-slotted sections of Mg-5Gd and Mg-10Gd with every hardening record: 8 to 26 increments tried where
+slotted sections of Mg-5Gd and Mg-10Gd with every hardening record: 8 to 50 increments tried where
 the largest size would do with 5."""
 
 DAMAGE_UPDATES = ("cell", "point", "implicit")
