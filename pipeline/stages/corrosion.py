@@ -33,6 +33,7 @@ from pipeline.geometry.voxels import metal_fraction
 from pipeline.scene.resolve import rate_law
 from pipeline.scene.scene import CorrosionParameters, Scene
 from pipeline.stages import ions as ion_stage
+from pipeline.stages.by_nodes import by_nodes
 from pipeline.stages.exposure import share_of_ball, share_of_cylinder, solid_exposure
 from pipeline.stages.geometry import read_surface
 
@@ -295,6 +296,8 @@ def corrode_in_folder(
         logger.warning("%s; the march starts anew", error)
         checkpoint.unlink(missing_ok=True)
         result, omissions, *with_ions = march(False)
+    if exposure is not None:
+        result = by_nodes(result, metal)
     write_corrosion(out / CORROSION_FILE, result)
     history = dict(result.history)
     history["degradation_rate"] = degradation_rate(history["volume_loss"], history["time"], solid)

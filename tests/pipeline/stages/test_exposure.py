@@ -5,11 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from peri.corrosion.run import corrode
 from peri.engine.lattice import Lattice
+from peri.engine.march.marching import TimeStepping
 from pipeline.geometry.surface import solid_of_surface
 from pipeline.scene.resolve import resolve_scene
 from pipeline.scene.scene import SceneError
 from pipeline.stages import corrosion as stage
+from pipeline.stages.by_nodes import by_nodes
 from pipeline.stages.exposure import share_of_ball, share_of_cylinder, solid_exposure
 from tests.peri.bodies import ball
 
@@ -57,6 +60,18 @@ def test_scene_with_classes():
     assert np.array_equal(march.metal, fraction > 0)
     assert march.capacity()[march.metal].sum() == pytest.approx(fraction.sum())
     assert exposure.held.max() == 1 and (exposure.held <= exposure.inside).all()
+    result = corrode(march, [5 * 86400.0], TimeStepping("sdirk2", rate_change=0.2))
+    nodes = by_nodes(result, metal)
+    assert np.array_equal(nodes.scene.metal, metal)
+    lost = [
+        (r.scene.capacity() * (r.scene.solid_concentration - r.concentration[0]))[r.scene.metal]
+        for r in (result, nodes)
+    ]
+    # Measured: 2e-3; a node stands for at least a twentieth of a cell.
+    print("XX", lost[1].sum() / lost[0].sum() - 1)
+    assert lost[1].sum() == pytest.approx(lost[0].sum(), rel=5e-3)
+    outside = march.metal & ~metal
+    assert outside.any() and nodes.concentration[0][outside].max() <= march.saturation_concentration
     with pytest.raises(SceneError, match="dissolution where there are rate classes"):
         replace(settings, dissolution="faradaic")
     with pytest.raises(SceneError, match="rate classes"):
