@@ -67,7 +67,7 @@ class CorrosionScene:
     saturation : {"complementarity", "as_published", "none"}
     exposure : rate_classes.CellExposure, optional
         Rate classes of the cells, for a solid whose surface is known: metal and liquid then share
-        the cut cells (cells.py), and rates are those of the surface, whatever the lattice.
+        the cut cells, and rates are those of the surface, whatever the lattice (classes.volumes).
         Without it a node has one phase and one rate.
     solids, phase : tuple of Solid, uint8 array, optional
         The solids that the metal is made of and which of them (from 1; 0 off the metal) each node

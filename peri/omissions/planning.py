@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from peri.corrosion.classes.cells import Cells, class_bond_sums
+from peri.corrosion.classes.cells import Cells
 from peri.corrosion.kinetics import Exposed
 from peri.corrosion.nodes.bimaterial import BiMaterial
 from peri.corrosion.run import CorrosionResult, corrode
@@ -258,16 +258,17 @@ def _liquid(scene, problem, end_time, tolerance, refused) -> Omission:
 
 
 def _dissolved(scene: CorrosionScene, problem: Discrete, end_time: float) -> tuple[int, str]:
-    """How many metal nodes, or rate classes, fall below C_sat in clean liquid by the end."""
+    """How many metal nodes are gone, or rate classes begin to go, in clean liquid by the end."""
     if not isinstance(problem, Cells):
         reduced = well_stirred(scene, [end_time], problem=problem)
         return int((scene.metal & ~reduced.metal[-1]).sum()), "metal nodes"
     law, diffusivity = factor_of(scene.kinetics), scene.base_interface_diffusivity()
     bare = scene.bare_time([end_time])
     found = ReducedCorrosion.of(scene).volume_loss(bare, diffusivity, law)
-    left = np.exp(-class_bond_sums(scene) * found.exposure[0])
-    below = scene.solid_concentration * left < scene.saturation_concentration
-    return int(below.sum()), "rate classes"
+    seen = problem.initial_bond_sum * found.exposure[0]
+    life = 1.0 - seen / scene.dissolution.lifetime(scene)
+    left = problem.left(scene.solid_concentration * np.exp(-seen), life)
+    return int((left < problem.volume).sum()), "rate classes"
 
 
 def corrode_lean(

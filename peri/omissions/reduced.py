@@ -24,7 +24,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import ArrayLike, NDArray
 
-from peri.corrosion.classes.cells import class_bond_sums
+from peri.corrosion.classes.volumes import class_bond_sums
 from peri.corrosion.kinetics import Exposed, Kinetics
 from peri.corrosion.nodes.bimaterial import BiMaterial
 from peri.corrosion.scene import CorrosionScene

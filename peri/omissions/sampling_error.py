@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from peri.corrosion.classes.cells import constant_of
+from peri.corrosion.classes.volumes import constant_of
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.surface.rate_classes import Rates
 from peri.omissions.reduced import ReducedCorrosion, factor_of

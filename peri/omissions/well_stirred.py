@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import brentq
 
-from peri.corrosion.classes.cells import class_bond_sums
+from peri.corrosion.classes.volumes import class_bond_sums
 from peri.corrosion.kinetics import Exposed
 from peri.corrosion.nodes.bimaterial import BiMaterial
 from peri.corrosion.run import HISTORY, CorrosionResult

@@ -2,7 +2,7 @@
 
 The ball has three horizons' radius and the kinetics of Mg-5Gd; the exposure of its points is
 known, so V_L(t) without a lattice is one quadrature.  Errors are the largest over 7, 28 and 56
-days, medians over positions of the lattice.
+days, medians over positions of the lattice.  moving_front.py has the rows of surfaces that move.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from peri.engine.lattice import ball as nodes_of_ball
 from peri.engine.surface.rate_classes import rate_classes
 from peri.engine.surface.triangles import Surface
 from peri.omissions.reduced import ReducedCorrosion, factor_of
+from pipeline.benches.moving_front import moving_balls
 from pipeline.benches.result import Result
 from pipeline.stages.exposure import share_of_ball
 
@@ -33,13 +34,13 @@ _FACTOR = SOLID / (SOLID - SATURATED)
 
 
 def cut_cells() -> list[Result]:
-    """Three lattices, five positions each."""
-    return _measure((2, 3, 4), 5, 5)
+    """Three lattices, five positions each; two of the surface that moves."""
+    return _measure((2, 3, 4), 5, 5) + moving_balls(round_surface(1.0, 5), (2, 3, 4), 2, 0.02)
 
 
 def small_cut_cells() -> list[Result]:
-    """The coarsest lattice at two positions, on coarser triangles."""
-    return _measure((2,), 2, 4)
+    """The coarsest lattice at one or two positions, on coarser triangles."""
+    return _measure((2,), 2, 4) + moving_balls(round_surface(1.0, 4), (2,), 1, 0.1)
 
 
 def _measure(ratios: tuple[int, ...], positions: int, refinements: int) -> list[Result]:

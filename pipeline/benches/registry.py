@@ -170,7 +170,7 @@ BENCHMARKS: dict[str, Benchmark] = {
         bench_corrosion.small_screw,
     ),
     "cut-cells": Benchmark(
-        "rate classes: a ball in clean liquid against its closed form (2 minutes)",
+        "rate classes: balls in clean liquid, at rest and dissolved to a third (4 minutes)",
         bench_cut_cells.cut_cells,
         bench_cut_cells.small_cut_cells,
     ),

@@ -81,7 +81,7 @@ def test_stage_against_dense_algebra():
     crop = cells.sum.crop
     w = pair_matrix(scene.stencil, scene.lattice.shape)
     c, nu = crop(cells.share).ravel(), crop(cells.nu).ravel()
-    cell = scene.exposure.metal.cell
+    cell = cells.columns.cell
     n, m = c.size, cell.size
     bonds = (cells.volume * cells.mu)[:, None] * w[cell] * (c * nu)
     np.testing.assert_allclose(

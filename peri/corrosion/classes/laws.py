@@ -1,0 +1,9 @@
+"""Laws of the interface that rate classes have, by name."""
+
+from __future__ import annotations
+
+from peri.corrosion.classes.bonds import Bonds, ProportionalBonds
+
+CLASS_BONDS: dict[str, type[Bonds]] = {
+    "proportional": ProportionalBonds,
+}

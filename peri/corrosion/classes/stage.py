@@ -1,0 +1,194 @@
+"""One implicit stage of cells with rate classes: liquid, metal, kinetics, saturation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from peri.corrosion.classes.bonds import Bonds
+from peri.corrosion.classes.laws import CLASS_BONDS
+from peri.corrosion.classes.volumes import Volumes
+from peri.corrosion.interface import saturation
+from peri.engine.march.problem import BoundsError
+from peri.engine.solvers import ConvergenceError, DiffusionSystem
+
+_ROUNDS = 60
+_LOSS_TOLERANCE = 1e-9
+_ROUND_REDUCTION = 0.1
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class CellStage:
+    """Solution of one implicit stage: liquid and theta (padded), classes (n,), and measures.
+
+    classes, liquid : mol/m^3.  ageing : (n,) of the classes' life, 1/s.  release_rate : mol/s.
+    """
+
+    liquid: Array
+    classes: Array
+    ageing: Array
+    theta: Array
+    volume_loss: float
+    release_rate: float
+    iterations: int
+    rounds: int
+
+
+class StageSolver:
+    """Solves stages of `cells`; keeps one preconditioner between the rounds."""
+
+    def __init__(self, cells: Volumes) -> None:
+        self.cells = cells
+        self._system: DiffusionSystem | None = None
+        self._key: tuple[float, bytes] | None = None
+
+    def forget(self) -> None:
+        """Drop the preconditioner of earlier stages."""
+        self._system = None
+
+    def solve(
+        self, old: Array, old_classes: Array, tau: float, guess: Array, theta: Array | None,
+        volume_loss: float,
+    ) -> CellStage:  # fmt: skip
+        """Solve Y = old + tau F(Y), kinetics and saturation included; see BiMaterial."""
+        saturated = self.cells.scene.saturation_concentration
+        y = np.where(self.cells.free, guess, 0.0)
+        reached = self.cells.free & (self.cells.pull > 0)
+        if theta is None:
+            theta = np.ones(y.shape)
+        old, old_classes, owed = self._repaid(old, old_classes, theta)
+        active = (theta < 1.0) & reached
+        law = CLASS_BONDS[self.cells.scene.dissolution.name]
+        iterations, stall = 0, saturation.Stall()
+        for rounds in range(1, _ROUNDS + 1):
+            y[active] = saturated
+            bonds = law(self.cells, theta, old_classes, tau)
+            volume_loss = bonds.settle(y, volume_loss)
+            count, solved = self._solve(y, old, tau, bonds, active)
+            iterations += count
+            classes = bonds.classes(y)
+            loss = self.cells.volume_loss(classes)
+            settled = solved and abs(loss - volume_loss) <= _LOSS_TOLERANCE
+            volume_loss = loss
+            needed = np.where(active, self._needed(y, old, tau), 0.0)
+            available = np.where(reached, np.maximum(bonds.offered(classes, saturated), 0.0), 0.0)
+            new_active, new_theta = saturation.next_active_set(
+                active, np.where(reached, y, 0.0), needed, available, saturated
+            )
+            bonds_on = np.maximum(new_theta, 0.0)
+            mismatch = tau * float((np.abs(bonds_on - theta) * available)[active].sum())
+            changes = int((new_active != active).sum())
+            small = 1e-9 * self.cells.metal_scale * max(1e-3, loss)
+            if settled and not changes and mismatch <= small:
+                if -tau * float(needed[active].clip(max=0.0).sum()) > 1e-9 * self.cells.metal_scale:
+                    raise BoundsError("saturation: the stage would need a negative inflow")
+                break
+            if stall.after(changes, mismatch):
+                rounds = _ROUNDS
+                break
+            active, theta = new_active, bonds_on
+        else:
+            rounds = _ROUNDS
+        if rounds == _ROUNDS:
+            raise ConvergenceError(
+                f"saturation: the active set did not settle at a step of {tau:.3g} s"
+            )
+        release = self._released(y, bonds, classes)
+        if active.any():
+            # What an active cell takes in is what the metal loses, to round-off.
+            change = np.where(active, new_theta - theta, 0.0)
+            classes = bonds.correct(classes, change, saturated)
+            theta = bonds_on
+        ageing = bonds.ageing(classes)
+        self._close(y, classes, old, old_classes, tau * release, active)
+        loss = self.cells.volume_loss(classes)
+        release -= owed / tau
+        return CellStage(y, classes, ageing, theta, loss, release, iterations, rounds)
+
+    def _repaid(self, old: Array, classes: Array, theta: Array) -> tuple[Array, Array, float]:
+        """A right side without negative classes, and what held cells give back for it, mol.
+
+        The right side of a second-order step's last stage is negative where a class lost more in
+        the first one than it has (lambda g step > 2.41).  What is missing comes back from where it
+        went, along the class's own bonds, so that the amounts add up.
+        """
+        cells = self.cells
+        short = classes < 0
+        if not short.any():
+            return old, classes, 0.0
+        missing = np.where(short, -classes * cells.volume, 0.0)
+        weight = (theta * cells.free_share + cells.held_share) * cells.nu
+        seen = cells.gather(cells.near(weight))
+        back = np.divide(missing, seen, out=np.zeros_like(seen), where=seen > 0)
+        back = cells.near(cells.scatter(back)) * cells.nu
+        old = old - np.where(cells.free, theta * back, 0.0)
+        owed = float((cells.held_share * back).sum()) * cells.scene.lattice.cell_volume
+        return old, np.maximum(classes, 0.0), owed
+
+    def _flow(self, y: Array) -> Array:
+        """D_liq sum_k w_jk c_k (C_k - C_j) per relative volume; held cells at zero."""
+        d = self.cells.scene.liquid_diffusivity
+        return d * (self.cells.sum(self.cells.free_share * y) - self.cells.neighbour_share * y)
+
+    def _needed(self, y: Array, old: Array, tau: float) -> Array:
+        return self.cells.free_share * ((y - old) / tau - self._flow(y))
+
+    def _solve(self, y, old, tau, bonds, active) -> tuple[int, bool]:
+        """Improve y in place on the cells that are not active."""
+        weight = np.where(active, 0.0, self.cells.free_share)
+        unknown = weight > 0
+        d = self.cells.scene.liquid_diffusivity
+        diagonal = 1.0 / tau + d * self.cells.neighbour_share
+        extra_diagonal = np.where(unknown, bonds.diagonal, 0.0)
+        key = (tau, active.tobytes())
+        if self._system is None or self._key != key:
+            sink = weight * (diagonal - d * self.cells.sum(weight))
+            sink += extra_diagonal * bonds.storage_share
+            self._system = DiffusionSystem(
+                self.cells.sum, weight, diagonal, d, sink, extra_diagonal=extra_diagonal
+            )
+            self._key = key
+
+        def add(u: Array, out: Array) -> float:
+            u = np.where(unknown, u, 0.0)
+            share = np.where(unknown, bonds.diagonal * u - bonds.through(u), 0.0)
+            out += share
+            return float((share * u).sum())
+
+        self._system.extra = add
+        gain = bonds.theta * bonds.offered(bonds.classes(y), y)
+        r = np.where(unknown, gain - self._needed(y, old, tau), 0.0)
+        scale = float(np.linalg.norm(self.cells.free_share * old)) / tau + float(
+            np.linalg.norm(gain)
+        )
+        wanted = self.cells.tolerance * scale
+        enough = max(wanted, _ROUND_REDUCTION * float(np.linalg.norm(r)))
+        enough = enough if active.any() else wanted
+        return self._system.solve(y, r, enough), enough <= wanted
+
+    def _released(self, y: Array, bonds: Bonds, classes: Array) -> float:
+        """Amount that reaches the held cells per second, mol/s."""
+        d, held = self.cells.scene.liquid_diffusivity, self.cells.held_share
+        if not held.any():
+            return 0.0
+        rate = d * float((self.cells.sum(self.cells.free_share * y) * held).sum())
+        rate += float((bonds.arriving(classes) * held).sum())
+        return rate * self.cells.scene.lattice.cell_volume
+
+    def _close(self, y, classes, old, old_classes, released, active) -> None:
+        """Scale liquid (or the metal's loss) so that the amounts add up to round-off."""
+        content = self.cells.free_share * y
+        missing = float((self.cells.free_share * old).sum()) - float(content.sum())
+        missing += float(self.cells.volume @ (old_classes - classes))
+        missing -= released / self.cells.scene.lattice.cell_volume
+        solved = self.cells.free & ~active
+        liquid = float(content[solved].sum())
+        lost = float(self.cells.volume @ (old_classes - classes))
+        if liquid > 0 and abs(missing) <= 1e-6 * liquid:
+            y[solved] *= 1.0 + missing / liquid
+        elif lost > 0 and abs(missing) <= 1e-3 * lost:
+            classes += missing / lost * (old_classes - classes)

@@ -1,0 +1,264 @@
+"""Metal and liquid in one cell: the bonds of rate classes and the implicit stage that solves them.
+
+Cell i holds metal classes p of relative volume v_ip and a share c_i of liquid of one
+concentration.  With G_ip = K Lambda_ip the bond sum that class p sees in truth (rate_classes),
+
+    v_ip dC_ip/dt = -k sum_j theta_j M_ip,j (C_ip - C_j),           k = D_int g(V_L),
+    c_j  dC_j/dt  = D_liq sum_k w_jk c_j c_k (C_k - C_j) + k theta_j sum_ip M_ip,j (C_ip - C_j),
+    M_ip,j = v_ip mu_ip w_ij c_j nu_j >= 0.
+
+mu and nu are balanced so that each class and each liquid cell has its own exposure,
+sum_j w_ij c_j nu_j mu_ip = G_ip (exact, last) and nu_j sum_ip v_ip mu_ip w_ij = G_j^liquid.  M is
+one number a pair: the form is symmetric, conserves the amount and keeps 0 <= C_j <= C_sat.  In
+clean liquid a class obeys C' = -k G_ip C, whatever the lattice.
+
+Where the surface moves (columns.py has how the classes of a cell go).  The cell's mean rate
+follows from the shares of metal f and liquid alone, by weights made for cut cells (share_weights):
+
+    G_i(t) = E_i(t) + kept_i (G_i(0) - E_i(0)),    E_i = sum_j k_ij (1 - f_j),
+    kept_i = min(1, max(0, 2 - E_i(t)/E_i(0))).
+
+At first it is the surface's exact one; that is forgotten as the cell sees more liquid.  There is no
+memory but the volumes, so nothing drifts; edges, walls and fronts that meet are the sum's affair.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from peri.corrosion.classes.columns import Columns
+from peri.corrosion.kinetics import Exposed
+from peri.corrosion.scene import CorrosionScene
+from peri.engine.influence import closed_constant, closed_strength
+from peri.engine.operators import NonlocalSum
+from peri.engine.solvers import DiffusionSystem
+from peri.engine.surface.flat_front import FlatFront
+from peri.engine.surface.share_weights import share_stencil
+
+_SMALLEST_SHARE = 1e-3
+"""Cells with a smaller share of liquid hold none (of a thousandth of a cell's flux)."""
+_BALANCING_ROUNDS = 8
+"""Of mu and nu by turns; more change V_L by less than 1e-4 (the metal's condition is exact)."""
+
+Array = NDArray[np.float64]
+
+
+class Volumes:
+    """A scene with rate classes, discretised.
+
+    Parameters
+    ----------
+    scene : CorrosionScene
+        With an `exposure`; proportional law, complementarity, kinetics of one number.
+    tolerance : float
+        Residual norm relative to the sources at which a linear solution is accepted.
+
+    columns : the classes in their order.  cell : (n,) each class's cell in the flattened padded
+    lattice.  volume : (n,) relative, what is metal of a class.  bond_sum : (n,) G, 1/m^2.  share :
+    padded, c.  ends : mol/m^3, what metal holds where it ends.
+    """
+
+    def __init__(self, scene: CorrosionScene, tolerance: float = 1e-9) -> None:
+        self.scene, self.tolerance = scene, tolerance
+        lattice, exposed = scene.lattice, scene.exposure
+        self.sum = NonlocalSum(scene.stencil, lattice.shape, scene.domain)
+        places = np.arange(int(np.prod(self.sum.padded_shape))).reshape(self.sum.padded_shape)
+        height = lattice.cell_volume ** (1 / 3) / scene.horizon
+        front = FlatFront(scene.horizon, scene.kernel_exponent, scene.influence)
+        self.columns = Columns(exposed.metal, height, front)
+        self.cell = places[self.sum.interior].ravel()[self.columns.cell]
+        self.initial_volume = self.columns.volume
+        self.initial_bond_sum = constant_of(scene) * self.columns.exposure
+        self.liquid_bond_sum = self.sum.pad(constant_of(scene) * exposed.liquid)
+        inside = scene.domain if exposed.inside is None else exposed.inside * scene.domain
+        held = scene.refreshed() if exposed.held is None else exposed.held
+        share = self.sum.pad(inside) - self.sum.pad(exposed.metal.fraction)
+        self.held_share = np.clip(np.minimum(self.sum.pad(held), share), 0.0, 1.0)
+        free = share - self.held_share
+        self.initial_free = np.where(free < _SMALLEST_SHARE, 0.0, free)
+        self.near = NonlocalSum(scene.stencil, lattice.shape, self._reached())
+        self._front_sum: NonlocalSum | None = None
+        self.cells_of_metal = float(self.initial_volume.sum())
+        solid, self.ends = scene.solid_concentration, scene.dissolution.liquid_below(scene)
+        self.metal_scale = self.cells_of_metal * solid
+        self._loss_scale = self.cells_of_metal * (solid - self.ends)
+        self.base_diffusivity = scene.base_interface_diffusivity()
+        self.set_volumes(self.initial_volume)
+
+    def _reached(self) -> NDArray[np.bool_]:
+        """Lattice nodes within the stencil's reach of a cell with metal (a box)."""
+        held = np.zeros(self.sum.shape, bool)
+        held[self.scene.exposure.metal.fraction.reshape(self.sum.shape) > 0] = True
+        rows = np.zeros(self.sum.shape, bool)
+        window = []
+        for a, reach in enumerate(self.sum.reach):
+            present = np.flatnonzero(held.any(axis=tuple(b for b in range(3) if b != a)))
+            window.append(slice(max(0, present[0] - reach), present[-1] + reach + 1))
+        rows[tuple(window)] = True
+        return rows.reshape(self.scene.lattice.shape)
+
+    # --- bonds ----------------------------------------------------------------------------
+
+    def gather(self, field: Array) -> Array:
+        """A padded field at each class's cell."""
+        return field.ravel()[self.cell]
+
+    def scatter(self, values: Array) -> Array:
+        """Sum of the classes' values in each cell, padded."""
+        size = int(np.prod(self.sum.padded_shape))
+        return np.bincount(self.cell, values, size).reshape(self.sum.padded_shape)
+
+    def set_volumes(self, volume: Array, ahead: Array | None = None) -> None:
+        """Take what is metal of the classes; bonds and shares follow.
+
+        ahead : the volumes that the rates are for, if those of another time.
+        """
+        self.volume, self.ahead = volume, volume if ahead is None else ahead
+        grown = self.scatter(self.initial_volume - volume)
+        self.free_share = self.initial_free + grown
+        self.free = self.free_share > 0
+        self.share = self.free_share + self.held_share
+        self.neighbour_share = self.sum(self.share)
+        self.bond_sum = self.initial_bond_sum
+        wanted = self.share * self.liquid_bond_sum
+        if grown.any():
+            now = self._seen_metal(self.ahead)
+            self.bond_sum = self._moved(now)
+            # Liquid sees less metal as that goes; new liquid what the shares say.
+            new = np.divide(grown, self.share, out=np.zeros_like(grown), where=self.share > 0)
+            left = np.divide(now, self._at_first, out=np.zeros_like(now), where=self._at_first > 0)
+            new, left = np.minimum(new, 1.0), np.clip(left, 0.0, 1.0)
+            wanted = (1.0 - new) * left * wanted + new * self.share * np.maximum(now, 0.0)
+        self._balance(wanted)
+
+    def _seen_metal(self, volume: Array) -> Array:
+        """sum_j k_ij f_j by weights for cut cells, 1/m^2, padded."""
+        if self._front_sum is None:
+            weights = share_stencil(self.scene.stencil, self.columns.front)
+            rows = self._reached()
+            self._front_sum = NonlocalSum(weights, self.scene.lattice.shape, rows)
+            self._at_first = self._front_sum(self.scatter(self.initial_volume))
+        return self._front_sum(self.scatter(volume))
+
+    def _moved(self, seen_metal: Array) -> Array:
+        """G of the classes where the surface has moved."""
+        columns, front = self.columns, self.columns.front
+        assert self._front_sum is not None
+        total = self._front_sum.stencil.total
+        whole = columns.total(self.initial_volume)
+        exact = columns.total(self.initial_volume * self.initial_bond_sum) / whole
+        place = np.zeros(columns.first.size, int)
+        place[columns.row] = self.cell
+        seen, before = (
+            np.maximum(total - field.ravel()[place], 0.0) for field in (seen_metal, self._at_first)
+        )
+        before[before < 1e-9 * total] = 0.0
+        ratio = np.divide(seen, before, out=np.full_like(seen, np.inf), where=before > 0)
+        kept = np.clip(2.0 - ratio, 0.0, 1.0)
+        flux = columns.total(self.volume) * (seen + kept * (exact - before))
+        strength = closed_strength(front.horizon, front.kernel_exponent, front.influence)
+        strength /= front.horizon
+        return columns.rates(self.volume, flux, strength, kept, self.initial_bond_sum)
+
+    def _balance(self, wanted_liquid: Array) -> None:
+        """mu of the classes and nu of the liquid cells (which should see `wanted`), by turns."""
+        flux = float((self.volume * self.bond_sum).sum())
+        total = float(wanted_liquid.sum())
+        wanted_liquid = wanted_liquid * (flux / total) if total > 0 else wanted_liquid
+        nu = (self.share > 0).astype(float)
+        for turn in range(_BALANCING_ROUNDS + 1):
+            seen = self.gather(self.near(self.share * nu))
+            self.mu = np.divide(self.bond_sum, seen, out=np.zeros_like(seen), where=seen > 0)
+            if turn == _BALANCING_ROUNDS:
+                break
+            arrives = self.share * self.near(self.scatter(self.volume * self.mu))
+            nu = np.divide(wanted_liquid, arrives, out=np.zeros_like(nu), where=arrives > 0)
+        self.nu = nu
+        self.pull = nu * self.near(self.scatter(self.volume * self.mu))
+        """nu_j sum_ip v_ip mu_ip w_ij."""
+
+    def dropped(self) -> float:
+        """Share of the flux into clean liquid of classes that no bond reaches."""
+        seen = self.mu > 0
+        flux = self.volume * self.bond_sum
+        return float(flux[~seen].sum() / flux.sum()) if flux.any() else 0.0
+
+    def steady_bound(self) -> Array | None:
+        """The liquid's steady state under the classes' first inflow, mol/m^3, on the lattice.
+
+        It bounds the liquid's concentration at every time where the kinetics never speeds up;
+        None where no liquid is held.
+        """
+        if not self.held_share.any():
+            return None
+        d, rate = self.scene.liquid_diffusivity, self.rate(0.0)
+        inflow = self.free_share * self.pull * rate * self.scene.solid_concentration
+        sink = self.free_share * d * self.sum(self.held_share)
+        system = DiffusionSystem(self.sum, self.free_share, d * self.neighbour_share, d, sink)
+        steady = np.zeros(self.sum.padded_shape)
+        system.solve(steady, inflow.copy(), 1e-8 * float(np.linalg.norm(inflow)))
+        return np.maximum(self.sum.crop(steady), 0.0)
+
+    # --- measures -------------------------------------------------------------------------
+
+    def volume_loss(self, classes: Array) -> float:
+        """V_L = 1 - sum v (C - C_end) / sum_initial v (C_solid - C_end), C_end where metal ends."""
+        above = np.maximum(classes - self.ends, 0.0)
+        return min(1.0, max(0.0, 1.0 - float(self.volume @ above) / self._loss_scale))
+
+    def amounts(self, liquid: Array, classes: Array) -> tuple[float, float]:
+        """Amount in the metal and in the free liquid, mol."""
+        cell = self.scene.lattice.cell_volume
+        return cell * float(self.volume @ classes), cell * float((self.free_share * liquid).sum())
+
+    def coat(self, share: float) -> None:
+        """Let the interface carry a share of what it carries bare, from now on."""
+        self.base_diffusivity = share * self.scene.base_interface_diffusivity()
+
+    def rate(self, volume_loss: float) -> float:
+        """k = D_int g(V_L), m^2/s."""
+        return self.base_diffusivity * float(self.scene.kinetics.rate(Exposed(volume_loss)))
+
+    def left(self, classes: Array, life: Array) -> Array:
+        """Volumes (n,) that are left of the classes."""
+        solid, volume, ends = self.scene.solid_concentration, self.volume, self.ends
+        left = self.columns.thinned(volume, life)
+        # What is left keeps what the class holds above C_end, so that it stays below C_solid; a
+        # class is gone when it holds no more than that.
+        left = np.maximum(left, volume * np.maximum(classes - ends, 0.0) / (solid - ends))
+        left = np.where(classes > ends, left, 0.0)
+        grown = self.initial_free + self.scatter(self.initial_volume - left)
+        return np.where(self.gather(grown) < _SMALLEST_SHARE, volume, left)
+
+    def dissolve(self, liquid: Array, classes: Array, life: Array) -> int:
+        """What is gone of the classes becomes liquid of their cells; how many end with it.
+
+        Each part that goes takes C_end with it, the last one what its class still holds.  All
+        three arrays change in place.
+        """
+        left, before = self.left(classes, life), self.volume
+        if np.array_equal(left, before):
+            return 0
+        gone = (before > 0) & (left == 0)
+        moved = (before - left) * np.where(gone, classes, self.ends)
+        content = self.free_share * liquid + self.scatter(moved)
+        ratio = np.divide(before, left, out=np.zeros_like(left), where=left > 0)
+        thinner = left < before
+        classes[thinner] = np.where(gone, 0.0, self.ends + (classes - self.ends) * ratio)[thinner]
+        life[thinner] *= ratio[thinner]
+        self.set_volumes(left, np.maximum(left - 0.5 * (before - left), 0.0))
+        liquid[:] = np.divide(
+            content, self.free_share, out=np.zeros_like(content), where=self.free_share > 0
+        )
+        return int(gone.sum())
+
+
+def class_bond_sums(scene: CorrosionScene) -> Array:
+    """G = K Lambda of each class of a scene, 1/m^2; times D_int its rate in clean liquid."""
+    return constant_of(scene) * scene.exposure.metal.exposure
+
+
+def constant_of(scene: CorrosionScene) -> float:
+    """K, by which an exposure becomes a bond sum, 1/m^2."""
+    return float(closed_constant(3, scene.horizon, scene.kernel_exponent, scene.influence))

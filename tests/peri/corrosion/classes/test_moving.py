@@ -1,0 +1,111 @@
+"""A surface that moves through cells: weights for their shares, layers that go, known answers."""
+
+import numpy as np
+import pytest
+
+from peri.corrosion.classes.columns import Columns
+from peri.corrosion.kinetics import ConstantRate
+from peri.corrosion.run import corrode
+from peri.corrosion.scene import CorrosionScene
+from peri.engine.influence import diffusion_stencil
+from peri.engine.lattice import Lattice
+from peri.engine.march.marching import TimeStepping
+from peri.engine.surface.flat_front import FlatFront
+from peri.engine.surface.rate_classes import CellExposure, RateClasses, cell_exposure
+from peri.engine.surface.share_weights import share_stencil
+from peri.reference.moving_ball import dissolving_ball
+from tests.peri.bodies import ball
+from tests.peri.engine.surface.test_rate_classes import share_of_ball
+
+FRONT = FlatFront(1.0, 0.0, "constant")
+
+
+def test_flat_front_closed_forms():
+    x = np.array([1e-3, 0.1, 0.5, 0.9])
+    np.testing.assert_allclose(FRONT.profile(x), 2 * (-np.log(x) - 1 + x), rtol=1e-10)
+    # linear between 1200 graded points: measured 7e-7
+    np.testing.assert_allclose(FRONT.carried(x), 2 * (-x * np.log(x) + x**2 / 2), atol=1e-6)
+    np.testing.assert_allclose(FRONT.slab(FRONT.life(x)), x, rtol=1e-12)
+    share = FRONT.carried(x + 0.2) - FRONT.carried(x)
+    np.testing.assert_allclose(FRONT.top(share, np.full(4, 0.2))[:3], x[:3], rtol=1e-4)
+    assert FRONT.top(np.array([1.0]), np.array([0.2])) == 0.0
+    assert FRONT.mean_depth(1e-3) == pytest.approx(1 / 6, rel=1e-3)
+
+
+@pytest.mark.parametrize(("ratio", "most"), [(2, 4e-3), (3, 1.5e-3), (4, 1e-3)])
+def test_share_weights_see_every_front_alike(ratio, most):
+    lattice = Lattice((0.0,) * 3, (1 / ratio,) * 3, (9,) * 3)
+    weights = share_stencil(diffusion_stencil(lattice, 1.0), FRONT)
+    assert weights.octant.min() >= 0 and weights.octant[0, 0, 0] > 0
+    # A plane anywhere through the lattice, by 12^3 points in each of two cells.
+    rng = np.random.default_rng(ratio)
+    dense, reach = weights.dense(), weights.reach[0]
+    offsets = np.argwhere(dense > 0) - reach
+    w = dense[dense > 0]
+    steps = np.arange(-11, 12) / 12
+    away = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
+    many = (1 - np.abs(away)).prod(axis=1)
+    many /= many.sum()
+    for _ in range(6):
+        n = rng.normal(size=3)
+        n /= np.linalg.norm(n)
+        across = np.maximum(offsets @ n / ratio + (away @ n)[:, None] / ratio, 0.0)
+        assert many @ across @ w == pytest.approx(3.0, rel=most)  # measured
+    moment = (w * ((offsets[:, 0] / ratio) ** 2 + 1 / (6 * ratio**2))).sum()
+    assert moment == pytest.approx(12 * FRONT.mean_depth(1 / ratio), rel=1e-3)
+
+
+def test_layers_go_from_the_surface_and_keep_what_they_should():
+    fraction = np.array([[[0.5, 1.0]]])
+    metal = RateClasses(
+        np.array([0, 0, 1]), np.array([0.3, 0.2, 1.0]), np.array([1.0, 2.0, 0.0]), fraction
+    )
+    columns = Columns(metal, 0.25, FRONT)
+    # the faster first, deep metal in equal parts
+    assert columns.exposure.tolist() == [2.0, 1.0, 0.0, 0.0]
+    assert columns.volume.tolist() == [0.2, 0.3, 0.5, 0.5]
+    volume = columns.volume
+    left = columns.thinned(volume, np.array([0.1, 0.9, 1.0, 1.0]))
+    assert left[0] == pytest.approx(0.3 * 0.1 / (0.9 - 0.2)) and np.array_equal(
+        left[1:], volume[1:]
+    )
+    assert columns.thinned(volume, np.array([0.0, -0.1, 1.0, 1.0]))[:2].tolist() == [0.0, 0.0]
+    # a lone layer has the travelling front's profile: what is left of its life fits what is left
+    volume = np.array([0.0, 0.3, 0.5, 0.5])
+    left = columns.thinned(volume, np.array([0.0, 0.05, 1.0, 1.0]))
+    assert 0 < left[1] < 0.3
+    assert FRONT.life(left[1:2] * 0.25)[0] == pytest.approx(0.05 * 0.3 * 0.25, rel=1e-4)
+    rates = columns.rates(
+        volume, np.array([2.0, 0.5]), 3.0, np.array([0.5, 0.0]), np.array([9.0, 1.0, 0.0, 0.0])
+    )
+    np.testing.assert_allclose(columns.total(volume * rates), [2.0, 0.5])
+    assert rates[0] == 0 and rates[2] > rates[3] > 0
+
+
+def dissolving(ratio, law, saturated, shift, radius=2.0):
+    """A ball in liquid that is clean everywhere, horizon 1."""
+    spacing = 1 / ratio
+    half = int(np.ceil((radius + 1) * ratio)) + 2
+    origin = tuple(float(s - half) * spacing for s in shift)
+    lattice = Lattice(origin, (spacing,) * 3, (2 * half + 1,) * 3)
+    fraction = share_of_ball(lattice, radius)
+    seen = cell_exposure(lattice, ball(radius, 3, scaled=True), 1.0, fraction)
+    held = np.where(fraction < 1, 1.0, 0.0)
+    return CorrosionScene(
+        lattice, 1.0, fraction > 0, solid_concentration=1.0, saturation_concentration=saturated,
+        liquid_diffusivity=1e8, dissolution_flux=1.0, dissolution=law, kinetics=ConstantRate(),
+        exposure=CellExposure(seen.metal, seen.liquid, None, held),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("law", "saturated"), [("proportional", 1e-5)])
+def test_dissolving_ball(law, saturated):
+    times, loss, _ = dissolving_ball(2.0, saturated if law == "proportional" else None, 0.7, 400)
+    losses = np.array([0.2, 0.45, 0.667])
+    shift = np.random.default_rng(0).random(3)
+    for ratio, most in ((2, 0.02), (3, 0.015)):
+        scene = dissolving(ratio, law, saturated, shift)
+        found = corrode(scene, np.interp(losses, loss, times), TimeStepping())
+        assert np.abs(found.history["balance_error"]).max() < 1e-13
+        assert found.metal[-1].sum() < found.metal[0].sum()
+        assert np.abs(found.volume_loss / losses - 1).max() < most, found.volume_loss / losses - 1
