@@ -16,6 +16,7 @@ from pipeline.benches import campaign as bench_campaign
 from pipeline.benches import corrosion as bench_corrosion
 from pipeline.benches import cut_cells as bench_cut_cells
 from pipeline.benches import friendliness as bench_friendliness
+from pipeline.benches import galvanic as bench_galvanic
 from pipeline.benches import ions as bench_ions
 from pipeline.benches import localised as bench_localised
 from pipeline.benches import operators as bench_operators
@@ -198,6 +199,11 @@ BENCHMARKS: dict[str, Benchmark] = {
         "the film equation of a crevice of alloy 625, 72 h",
         bench_localised.crevice,
         bench_localised.small_crevice,
+    ),
+    "galvanic": Benchmark(
+        "the potential from 1e4 to 2e6 nodes, AE44 beside steel for 3 days (1 minute)",
+        bench_galvanic.galvanic,
+        bench_galvanic.small_galvanic,
     ),
     "tensile": Benchmark(
         "constitutive update, assembly, one quick pull of the screw after 8 weeks (a minute)",

@@ -8,7 +8,7 @@ from functools import partial
 
 from perilife_data import did_you_mean
 from pipeline.scene.units import format_length
-from pipeline.scenes import couples, crevices, pits
+from pipeline.scenes import couples, crevices, grains, pits, pits_2d
 from pipeline.scenes.outcome import Prepared
 
 
@@ -57,6 +57,24 @@ SCENES: dict[str, Entry] = {
         ("0s", "500s", "1000s", "1500s", "2000s"),
         (0.5e-6, 20e-6),
         pits.pencil,
+    ),
+    "pit-304": Entry(
+        "304 steel under a mask with an opening of 40 um, 1e4 A/m2, 10 minutes",
+        ("0s", "100s", "200s", "300s", "600s"),
+        (2e-6, 10e-6),
+        pits_2d.masked,
+    ),
+    "pit-lacy": Entry(
+        "304 steel that is passive in dilute liquid: a pit under its lacy cover, 83 s",
+        ("0s", "20s", "40s", "83s"),
+        (1e-6, 5e-6),
+        pits_2d.lacy,
+    ),
+    "intergranular": Entry(
+        "elongated grains of aluminium: their boundaries dissolve fifty times faster, 5 h",
+        ("0s", "1h", "2h", "5h"),
+        (0.5e-6, 2e-6),
+        grains.intergranular,
     ),
 }
 

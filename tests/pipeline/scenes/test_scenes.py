@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.cli import main
-from pipeline.scenes import pits
+from pipeline.scenes import grains, pits, pits_2d
 from pipeline.scenes.registry import SCENES, entry_of
 from tests.pipeline.command_line import refused
 
@@ -114,3 +114,33 @@ def test_scenes_are_listed(capsys):
     assert main(["scenes"]) == 0
     printed = capsys.readouterr().out
     assert all(f"{name} " in printed and entry_of(name).title in printed for name in SCENES)
+
+
+@pytest.mark.slow
+def test_a_pit_grows_under_its_lacy_cover():
+    """The nucleus' mouth becomes passive, the metal below it dissolves on; steps do not matter."""
+    lost = []
+    for step in (0.2, 0.1, 0.05):
+        scene = pits_2d.lacy_scene(2.5e-6)
+        result = pits.corrode(scene, [40.0], pits.TimeStepping(step=step))
+        assert np.abs(result.history["balance_error"]).max() < 1e-12
+        depth, width, mouth = pits_2d.shape_of(scene, result.metal[-1])
+        lost.append(float(result.volume_loss[-1]))
+        # measured: 37.5 um deep, 117.5 wide, 40 um of the surface gone: those of the nucleus
+        assert depth > 35e-6 and width > 2.5 * mouth and mouth == pytest.approx(40e-6, abs=5e-6)
+    # measured 0.6 and 0.5 % from step to step
+    np.testing.assert_allclose(lost[:2], lost[1:], rtol=0.01)
+
+
+@pytest.mark.slow
+def test_boundaries_are_attacked_deeper_than_grains(tmp_path):
+    scene = grains.grain_scene(2e-6)
+    result = pits.corrode(scene, [3600.0, 5 * 3600.0], pits.TimeStepping(step=40.0))
+    boundary, grain = scene.phase == 2, scene.phase == 1
+    gone = scene.metal & ~result.metal[-1]
+    flux = grains.CURRENT / (grains.CHARGE_NUMBER * grains.FARADAY)
+    by_grains = grains.GRAIN_SHARE * flux * 5 * 3600.0 / scene.solid_concentration
+    depth, _, _ = pits_2d.shape_of(scene, result.metal[-1])
+    assert depth > 10 * by_grains  # measured 34 um against 1.2 um
+    assert gone[boundary].mean() > 5 * gone[grain].mean() > 0
+    assert np.abs(result.history["balance_error"]).max() < 1e-12

@@ -1,0 +1,208 @@
+"""Scenes of pits in a section of a steel sheet: below a mask, and below a lacy cover."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from peri.corrosion.kinetics import ConstantRate
+from peri.corrosion.metal.bond_damage import BondDamage
+from peri.corrosion.metal.solids import Solid
+from peri.corrosion.passivity import Repassivation
+from peri.corrosion.run import corrode
+from peri.corrosion.scene import CorrosionScene
+from peri.engine.constants import FARADAY
+from peri.engine.lattice import Lattice
+from peri.engine.march.marching import TimeStepping
+from peri.engine.results import Field, axes_of
+from pipeline.scenes.outcome import Curve, Outcome, Panel, Prepared, Value
+from pipeline.scenes.pits import CHARGE_NUMBER, STEEL_304, closing, outcome_of, steel_values
+
+SEED = 1
+
+
+def section(width: float, depth: float, liquid: float, spacing: float) -> Lattice:
+    """x along the sheet, from its middle; y up from its surface; m."""
+    shape = (round(width / spacing), round((depth + liquid) / spacing))
+    return Lattice((0.5 * (spacing - width), 0.5 * spacing - depth), (spacing,) * 2, shape)
+
+
+def masked_scene(
+    spacing: float, current: float = 1e4, opening: float = 40e-6, ratio: int = 2
+) -> CorrosionScene:
+    """Steel under a mask with an opening, clean liquid at the opening."""
+    horizon = ratio * spacing
+    mask = horizon + spacing
+    lattice = section(600e-6, 250e-6, mask + horizon, spacing)
+    x, y = (np.broadcast_to(a, lattice.shape) for a in lattice.coordinates())
+    metal = np.ascontiguousarray(y < 0)
+    return CorrosionScene(
+        lattice,
+        horizon,
+        metal,
+        domain=metal | (np.abs(x) < 0.5 * opening),
+        dissolution_flux=current / (CHARGE_NUMBER * FARADAY),
+        dissolution="faradaic",
+        **STEEL_304,
+    )
+
+
+def lacy_scene(
+    spacing: float,
+    current: float = 1e5,
+    critical: float = 0.7,
+    nucleus: float = 20e-6,
+    passive: float = 1e-3,
+    ratio: int = 2,
+) -> CorrosionScene:
+    """Steel that is passive below a critical concentration, with a nucleus that is active.
+
+    critical : C_crit over C_sat.  nucleus : radius of a half disc at the surface, m.  passive :
+    the passive current over the active one.  Liquid of two horizons lies above, its upper half
+    held clean.
+    """
+    horizon = ratio * spacing
+    lattice = section(300e-6, 80e-6, 2 * horizon, spacing)
+    x, y = (np.broadcast_to(a, lattice.shape) for a in lattice.coordinates())
+    metal = np.ascontiguousarray(y < 0)
+    phase = metal.astype(np.uint8) + (metal & (x**2 + y**2 < nucleus**2))
+    saturated = STEEL_304["saturation_concentration"]
+    solid = STEEL_304["solid_concentration"]
+    film = Repassivation(critical * saturated, saturated, passive)
+    return CorrosionScene(
+        lattice,
+        horizon,
+        metal,
+        dissolution_flux=current / (CHARGE_NUMBER * FARADAY),
+        dissolution="faradaic",
+        solids=(Solid(solid, kinetics=film), Solid(solid, kinetics=ConstantRate())),
+        phase=phase.astype(np.uint8),
+        **STEEL_304,
+    )
+
+
+def masked(spacing: float | None) -> Prepared:
+    """The pit under a mask, ready to run."""
+    spacing = spacing or 5e-6
+    scene = masked_scene(spacing)
+    values = {
+        **steel_values(),
+        "current density": Value(1e4, "A/m2", "", "salt layer within minutes", "assumed"),
+        "opening of the mask": Value(40e-6, "m", "", "", "assumed"),
+        **_lattice_values(scene),
+    }
+    step = TimeStepping(step=1.0)
+    return Prepared(values, functools.partial(march_section, scene, step))
+
+
+def lacy(spacing: float | None) -> Prepared:
+    """The pit with a lacy cover, ready to run."""
+    spacing = spacing or 2.5e-6
+    scene = lacy_scene(spacing)
+    film = scene.law_of(scene.solids[0])
+    assert isinstance(film, Repassivation) and film.width is not None
+    values = {
+        **steel_values(),
+        "current density": Value(1e5, "A/m2", "", "0.6 V, no number is printed", "assumed"),
+        "critical concentration": Value(
+            film.critical_concentration,
+            "mol/m3",
+            "",
+            "0.5 to 0.8 of saturation is usual",
+            "assumed",
+        ),
+        "width of its ramp": Value(film.width, "mol/m3", "", "2 % of saturation", "assumed"),
+        "passive share of the current": Value(film.passive_share, "1", "", "", "assumed"),
+        "radius of the nucleus": Value(20e-6, "m", "", "", "assumed"),
+        **_lattice_values(scene),
+    }
+    step = TimeStepping(step=0.1)
+    return Prepared(values, functools.partial(march_section, scene, step))
+
+
+def _lattice_values(scene: CorrosionScene) -> dict[str, Value]:
+    return {
+        "lattice spacing": Value(scene.lattice.spacing[0], "m", "", "", "assumed"),
+        "horizon": Value(float(np.max(scene.horizon)), "m", "", "", "assumed"),
+        "seed of the bonds": Value(SEED, "1", "", "", "assumed"),
+    }
+
+
+def shape_of(scene: CorrosionScene, metal: np.ndarray) -> tuple[float, float, float]:
+    """Depth of a pit, its largest width, and how much of the surface is gone, m.
+
+    metal : what is still there, on the lattice.
+    """
+    gone = scene.metal & ~metal
+    h = scene.lattice.spacing
+    surface = int(np.flatnonzero(scene.metal.any(axis=0))[-1])
+    if not gone.any():
+        return 0.0, 0.0, 0.0
+    depth = surface + 1 - int(np.flatnonzero(gone.any(axis=0))[0])
+    widest = int(np.ptp(np.flatnonzero(gone.any(axis=1)))) + 1
+    return depth * h[1], widest * h[0], float(gone[:, surface].sum()) * h[0]
+
+
+def march_section(
+    scene: CorrosionScene,
+    stepping: TimeStepping,
+    times: Sequence[float],
+    *,
+    checkpoint: Path | None = None,
+    resume: bool = False,
+    progress: Callable[[float, str], None] | None = None,
+) -> Outcome:
+    """March a section and say what its pit is like, with the bonds that are broken."""
+    result = corrode(
+        scene, times, stepping, checkpoint=checkpoint, resume=resume, progress=progress
+    )
+    lattice, history = scene.lattice, result.history
+    damage = BondDamage(
+        lattice, scene.horizon, scene.metal, scene.solid_concentration,
+        scene.saturation_concentration, SEED,
+    )  # fmt: skip
+    index, islands = [], 0
+    for concentration, metal in zip(result.concentration, result.metal, strict=True):
+        share = np.where(metal, damage.corroded(concentration), 1.0)
+        index.append(damage.damage_index(share))
+        islands = int(damage.detached(share).sum())
+    shapes = [shape_of(scene, metal) for metal in result.metal]
+    summary = {
+        "depth of the pit": (shapes[-1][0], "m"),
+        "its largest width": (shapes[-1][1], "m"),
+        "its width at the surface": (shapes[-1][2], "m"),
+        "metal cut off by broken bonds": (float(islands), "nodes"),
+        **closing(result),
+    }
+    amount = history["metal_amount"]
+    lost = (amount[0] - amount) / scene.solid_concentration
+    x = 1e6 * lattice.axis(0)
+    surface = 1e6 * lattice.axis(1)
+    bottoms = []
+    for time, metal in zip(result.times, result.metal, strict=True):
+        gone = scene.metal & ~metal
+        there = gone.any(axis=1)
+        lowest = np.where(there, surface[np.argmax(gone, axis=1)], 0.0)
+        bottoms.append(Curve(f"{time:.4g} s", x, lowest))
+    moments = np.asarray(result.times)
+    sizes = [
+        Curve(name, moments, 1e6 * np.array([s[n] for s in shapes]))
+        for n, name in enumerate(("depth", "width", "width at the surface"))
+    ]
+    held = Curve("held at saturation", history["time"], history["saturated_nodes"])
+    panels = [
+        Panel("Bottom of the pit", "along the sheet / um", "depth / um", bottoms),
+        Panel("Size of the pit", "time / s", "um", sizes),
+        Panel("Metal lost", "time / s", "mm²", [Curve("pit", history["time"], 1e6 * lost)]),
+        Panel("Liquid nodes under a salt layer", "time / s", "nodes", [held]),
+    ]
+    found = outcome_of(result, summary, panels)
+    over = ("time", *axes_of(lattice))
+    fields = {**found.fields, "damage_index": Field(np.array(index), "1", over)}
+    return Outcome(
+        found.lattice, found.times, fields, found.history, found.units, summary, panels,
+        found.wall_time,
+    )  # fmt: skip

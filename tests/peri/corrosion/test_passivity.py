@@ -1,0 +1,78 @@
+"""A film that stands in dilute liquid and goes where a pit concentrates it."""
+
+import numpy as np
+import pytest
+
+from peri.corrosion import CorrosionScene, corrode
+from peri.corrosion.kinetics import Exposed
+from peri.corrosion.metal.solids import Solid
+from peri.corrosion.passivity import Repassivation
+from peri.engine.lattice import Lattice
+from peri.engine.march.marching import TimeStepping
+
+FILM = Repassivation(3000.0, 4600.0, 1e-3)
+
+
+def at(concentration):
+    return Exposed(concentration=np.asarray(concentration, float))
+
+
+def test_rate_and_slope_by_the_concentration():
+    width = 92.0
+    assert FILM.width == width and FILM.needs == {"concentration"}
+    rates = FILM.rate(at([0.0, 3000.0, 3000.0 + 0.5 * width, 3000.0 + width, 4600.0]))
+    np.testing.assert_allclose(rates, [1e-3, 1e-3, 0.5 * 1.001, 1.0, 1.0], rtol=1e-14)
+    c = np.array([2000.0, 3020.0, 3070.0, 4000.0])
+    step = 1e-3
+    difference = (FILM.rate(at(c + step)) - FILM.rate(at(c - step))) / (2 * step)
+    np.testing.assert_allclose(FILM.slope(at(c)), difference, rtol=1e-9, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"critical_concentration": 4600.0}, "at most 4508"),
+        ({"critical_concentration": 0.0}, "critical_concentration: 0.0"),
+        ({"passive_share": 1.0}, "passive_share: 1.0"),
+        ({"width": -1.0}, "width: -1.0"),
+    ],
+)
+def test_refusals(changes, words):
+    numbers = {"critical_concentration": 3000.0, "saturation_concentration": 4600.0, **changes}
+    with pytest.raises(ValueError, match=words):
+        Repassivation(**numbers)
+    with pytest.raises(ValueError, match="finite everywhere"):
+        FILM.rate(at([np.nan]))
+
+
+def column(passive_share, seeded):
+    """A flat front in a closed column of 40 nodes of liquid; the first node may have no film."""
+    lattice = Lattice((0.0,), (5e-6,), (80,))
+    metal = lattice.axis(0) > 197e-6
+    phase = metal.astype(np.uint8)
+    film = Solid(142_900.0, kinetics=Repassivation(2000.0, 4600.0, passive_share))
+    if seeded:
+        phase[40] = 2
+    return CorrosionScene(
+        lattice, 10e-6, metal, boundary="no_flux", solid_concentration=142_900.0,
+        saturation_concentration=4600.0, liquid_diffusivity=8.6e-10, dissolution_flux=0.02,
+        flux_calibration="axis", dissolution="faradaic",
+        solids=(film, Solid(142_900.0)) if seeded else (film,), phase=phase,
+    )  # fmt: skip
+
+
+def test_passive_metal_loses_the_passive_current_and_active_metal_more():
+    """A layer without film fills the column beyond C_crit, and then all of the front is active."""
+    time = 45.0
+    passive = corrode(column(0.01, seeded=False), [time], TimeStepping(step=2.0))
+    lost = -np.diff(passive.history["metal_amount"][[0, -1]])[0]
+    assert lost == pytest.approx(0.01 * 0.02 * time, rel=1e-9)
+    seeded = corrode(column(0.01, seeded=True), [time], TimeStepping(step=0.5))
+    amount = seeded.history["metal_amount"]
+    speed = -np.diff(amount) / 0.5
+    # The film's bonds wait for C_crit; then all of the front dissolves, beyond the bare node.
+    assert speed[0] < 0.9 * 0.02 and speed.max() == pytest.approx(0.02, rel=1e-6)
+    assert amount[0] - amount[-1] > 5e-6 * 142_900.0 > 10 * lost
+    for result in (passive, seeded):
+        assert np.abs(result.history["balance_error"]).max() < 1e-12
+        assert result.concentration[~result.metal].max() <= 4600.0 * (1 + 1e-12)
