@@ -77,6 +77,7 @@ BELOW = {
         "coating": set(),
         "kinetics": set(),
         "acidity": {"kinetics"},
+        "passivity": {"kinetics"},
         "polarization": {"kinetics"},
         "metal": {"kinetics"},
         "laws": {"choices", "metal"},
