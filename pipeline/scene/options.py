@@ -5,6 +5,7 @@ import dataclasses
 from pathlib import Path
 
 from peri.engine.omission import DEFAULT_TOLERANCE
+from pipeline.scene.classes import read_classes
 from pipeline.scene.coating import read_coating
 from pipeline.scene.holding import ALL as HOLDS
 from pipeline.scene.image import ImageFile, add_image_options, content_of, image_from_options
@@ -112,10 +113,9 @@ def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -
     corrosion.add_argument("--calibration", metavar="C", help=", ".join(CALIBRATIONS))
     corrosion.add_argument(
         "--classes",
-        type=int,
         metavar="P",
         help="rate classes per cell near the surface, which remove most of the lattice's error: "
-        "3 is enough (0: one rate per node)",
+        "auto takes 3 where the scene allows them (0: one rate per node)",
     )
     corrosion.add_argument(
         "--tolerance",
@@ -219,10 +219,11 @@ def scene_from_options(options: argparse.Namespace) -> Scene:
         dissolution="dissolution",
         kinetics="kinetics",
         calibration="calibration",
-        classes="classes",
         rate_change="rate_change",
         tolerance="tolerance",
     )
+    if options.classes is not None:
+        corrosion["classes"] = read_classes(options.classes)
     if options.coating is not None:
         corrosion["coating"] = read_coating(options.coating)
     if options.keep:

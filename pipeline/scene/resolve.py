@@ -9,6 +9,7 @@ import perilife_data
 from fem.constitutive.hardening import fit_voce
 from perilife_data import OwnCorrosion
 from pipeline.scene import holding
+from pipeline.scene.classes import AUTO, with_classes
 from pipeline.scene.ions import IonSettings
 from pipeline.scene.rate_law import read_kinetics
 from pipeline.scene.resolution import Resolution, resolution
@@ -68,9 +69,9 @@ def resolve_scene(
     alloy's own file, else those of DEFAULT_PARAMETER_SET, if it has any; lengths in m where the
     preset is not to be used; hold: ways of holding (pipeline.scene.holding), the shank where
     none is given; corrosion, tensile: fields of CorrosionSettings and TensileScene that differ
-    from their defaults, the latter for all ways of holding; measured_volume_loss: CSV file
-    per alloy, plotted beside the result; ions: the medium (pipeline.scene.ions) where the model is
-    nnpp.
+    from their defaults, the latter for all ways of holding ("auto" classes: scene.classes);
+    measured_volume_loss: CSV file per alloy, plotted beside the result; ions: the medium
+    (pipeline.scene.ions) where the model is nnpp.
 
     Raises ValueError or FileNotFoundError with one sentence for whatever cannot be computed.
     """
@@ -81,6 +82,9 @@ def resolve_scene(
     known = [fit for fit in fits if fit is not None]
     corrosion = dict(corrosion or {})
     exponents = {float(fit.parameters.kernel_exponent) for fit in known}
+    classes = corrosion.pop("classes", 0)
+    corrosion["classes"] = 0 if classes == AUTO else classes
+    steps_given = "rate_change" in corrosion
     corrosion.setdefault("rate_change", preset.rate_change)
     corrosion.setdefault("kernel_exponent", exponents.pop() if len(exponents) == 1 else 0.0)
     geometry = geometry or ScrewGeometry()
@@ -90,7 +94,7 @@ def resolve_scene(
     if mesh_size_fine is None and mesh_size is not None:
         fine = min(fine, size)
     lattice = LatticeSettings(preset.spacing if spacing is None else spacing, horizon)
-    return Scene(
+    scene = Scene(
         resolution=resolution_name,
         parameter_set=_name_of_set(parameter_set, known),
         geometry=geometry,
@@ -105,6 +109,7 @@ def resolve_scene(
         measured_volume_loss=dict(measured_volume_loss or {}),
         ions=ions,
     )
+    return with_classes(scene, steps_given) if classes == AUTO else scene
 
 
 def _holds(

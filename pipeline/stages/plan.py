@@ -13,6 +13,7 @@ from peri.engine.omission import Omission
 from peri.omissions.names import OMITTABLE
 from pipeline.geometry.surface import Solid
 from pipeline.record import machine
+from pipeline.scene.classes import one_rate_because
 from pipeline.scene.loads import LOADS
 from pipeline.scene.mechanics import TensileScene
 from pipeline.scene.scene import HoldScene, Scene, ScrewGeometry
@@ -324,6 +325,15 @@ def scene_omissions(scene: Scene) -> list[LeftOut]:
             "part of the scene",
         ),
     ]
+    reason = one_rate_because(scene)
+    if reason:
+        found.append(
+            LeftOut(
+                "the spread of the rate within a cell",
+                f"each node has one rate ({reason})",
+                "most of the lattice's error (pipeline/README.md)",
+            )
+        )
     if scene.corrosion.kinetics != "volume_loss":
         found.append(
             LeftOut(

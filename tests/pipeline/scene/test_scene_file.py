@@ -174,7 +174,7 @@ def test_the_tables_are_the_groups_of_the_help() -> None:
         ("alloy = 2026-01-01", ["alloy is", "text, a number or a list"]),
         ("alloy = ['Mg-5Gd']", ["--immersion"]),
         ("alloy = 'mg5gd'\nimmersion = '8w'", ["did you mean Mg-5Gd?"]),
-        ("alloy = 'Mg-5Gd'\nimmersion = '8w'\nclasses = 2.5", ["--classes", "2.5"]),
+        ("alloy = 'Mg-5Gd'\nimmersion = '8w'\nclasses = 2.5", ["rate classes", "2.5"]),
     ],
 )
 def test_what_a_file_must_not_hold_is_refused(tmp_path, capsys, text, words) -> None:

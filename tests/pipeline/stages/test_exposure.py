@@ -9,11 +9,13 @@ from peri.corrosion.run import corrode
 from peri.engine.lattice import Lattice
 from peri.engine.march.marching import TimeStepping
 from pipeline.geometry.surface import solid_of_surface
+from pipeline.scene.classes import one_rate_because
 from pipeline.scene.resolve import resolve_scene
 from pipeline.scene.scene import SceneError
 from pipeline.stages import corrosion as stage
 from pipeline.stages.by_nodes import by_nodes
 from pipeline.stages.exposure import share_of_ball, share_of_cylinder, solid_exposure
+from pipeline.stages.plan import scene_omissions
 from tests.peri.bodies import ball
 
 LATTICE = Lattice((-1.13, -1.02, -1.07), (0.11, 0.11, 0.11), (21, 20, 21))
@@ -79,3 +81,23 @@ def test_scene_with_classes():
     assert stage.exposure_of(
         replace(scene, corrosion=replace(settings, classes=0)), lattice, region, solid, fraction
     ) is None  # fmt: skip
+
+
+def test_auto_takes_classes_where_the_scene_allows_them():
+    def scene(**corrosion):
+        return resolve_scene(["Mg-5Gd"], ["0w", "8w"], "quick", corrosion=corrosion)
+
+    taken = scene(classes="auto")
+    assert (taken.corrosion.classes, taken.corrosion.rate_change) == (3, 0.1)
+    assert one_rate_because(taken) == ""
+    assert scene(classes="auto", rate_change=0.3).corrosion.rate_change == 0.3
+    plain = scene(classes="auto", scheme="forward_euler")
+    assert plain.corrosion.classes == 0
+    assert plain.corrosion.rate_change == scene().corrosion.rate_change
+    assert "time scheme where there are rate classes is 'forward_euler'" in one_rate_because(plain)
+    assert "as asked for: --classes auto" in one_rate_because(scene())
+    left_out = [entry.what for entry in scene_omissions(scene())]
+    assert "the spread of the rate within a cell" in left_out
+    assert "the spread of the rate within a cell" not in [
+        entry.what for entry in scene_omissions(taken)
+    ]
