@@ -72,6 +72,7 @@ MEDIUM = {"temperature": TEMPERATURE}
 MEDIUM_OPTIONAL = {
     "carbon_dioxide": Limits("dimensionless", 0.0, 1.0),
     "refresh_interval": _above_zero("time"),
+    "bath_volume": _above_zero("volume", 1.0),
 }
 
 PUBLISHED_LOSS = {

@@ -371,7 +371,8 @@ def _mixture_density(
 
 def load_medium(name: str | Path) -> Medium:
     """Return a medium by its name, or from a .toml file of one's own. Raises as load_alloy."""
-    file = read(path_of("media", "medium", name))
+    path = path_of("media", "medium", name)
+    file = read(path)
     species = {}
     for symbol, table in (file.tables("species") if "species" in file.entries else {}).items():
         species[symbol] = Species(**table.quantities(limits.SPECIES))
@@ -380,13 +381,21 @@ def load_medium(name: str | Path) -> Medium:
         name=file.text("name"),
         title=file.text("title"),
         species=species,
-        reactions=file.text("reactions", default="", allowed=("", *shipped("reactions"))),
+        reactions=_reactions_of(file, path.parent),
         first_published=file.source_or_none("first_published"),
         note=file.text("note", default=""),
         **file.quantities(limits.MEDIUM, limits.MEDIUM_OPTIONAL),
     )
     file.done()
     return medium
+
+
+def _reactions_of(file: Table, folder: Path) -> str:
+    """A shipped set by its name, or the path of one's own beside the medium's file."""
+    name = file.entries.get("reactions")
+    if isinstance(name, str) and name.endswith(".toml"):
+        return str(folder / file.text("reactions"))
+    return file.text("reactions", default="", allowed=("", *shipped("reactions")))
 
 
 def load_parameter_set(name: str | Path) -> ParameterSet:

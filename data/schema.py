@@ -146,6 +146,7 @@ class Medium(Record):
     species: Mapping[str, Species]
     carbon_dioxide: Quantity | None = None  # volume fraction in the gas above the medium
     refresh_interval: Quantity | None = None  # s
+    bath_volume: Quantity | None = None  # m^3 around one implant; unknown: as much as is needed
     reactions: str = ""  # the set of data/reactions that its species react by
     first_published: str = ""
     note: str = ""

@@ -32,6 +32,7 @@ def ion_section(run: RunResults) -> dict[str, object]:
         "ph": f"{first['ph']:.3f}",
         "strength": f"{first['strength']:.3f}",
         "reactions": first["reactions"],
+        "bath": first.get("bath", ""),
         "closure": first["closure"],
         "flux_form": first["flux_form"],
         "assumed": first["assumed"],
@@ -54,6 +55,7 @@ def _row(row: dict, medium: dict) -> dict[str, object]:
     return {
         "time": duration(row["time"]),
         "highest": f"{row['highest_ph']:.3f}",
+        "bath": f"{row['bath_ph']:.3f}" if row.get("bath_ph") is not None else "",
         "beside": "–" if beside is None else f"{beside:.3f}",
         "potential": f"{1e3 * row['largest_potential']:.3f}",
         "hydrogen": f"{row['hydrogen_ml_per_cm2']:.2f}",

@@ -22,6 +22,9 @@ class IonSettings:
     totals : amount of each species that the medium is made of, mol/m^3.
     chemistry : the reaction set at the medium's temperature (perilife_data ReactionNumbers as a
     plain mapping; the rate constant of a mineral in equilibrium is None).
+    bath_volume : m^3 of the bath around the liquid, None: so much that it does not change;
+    exchange_every : s between exchanges of the bath for fresh medium, None: never;
+    open_to : dissolved gases whose activity in the bath stays that of the fresh medium.
     assumed : names of the set's and the medium's quantities that are assumed or fitted.
     """
 
@@ -33,6 +36,9 @@ class IonSettings:
     activity: str = "fixed"
     flux_form: str = "sqra"
     closure: str = "electroneutral"
+    bath_volume: float | None = None
+    exchange_every: float | None = None
+    open_to: tuple[str, ...] = ()
     assumed: tuple[str, ...] = ()
     source: dict[str, str] = field(default_factory=dict)
 
@@ -44,6 +50,22 @@ class IonSettings:
         ):
             if value not in allowed:
                 raise ValueError(f"{name} is '{value}'; it must be one of {', '.join(allowed)}")
+
+        beside = {"exchange every": self.exchange_every, "open to": self.open_to or None}
+        for name, value in beside.items():
+            if value is not None and self.bath_volume is None:
+                raise ValueError(
+                    f"{name} goes with a bath of finite volume, which must be given too "
+                    "(--bath-volume)"
+                )
+        for name in self.open_to:
+            charges: dict[str, int] = self.chemistry["charge_number"]  # type: ignore[assignment]
+            neutral = [n for n, z in charges.items() if z == 0]
+            if name not in neutral:
+                raise ValueError(
+                    f"open to is '{name}'; it must be a dissolved gas, one of "
+                    f"{', '.join(neutral) or 'none in this set'}"
+                )
 
     @property
     def temperature(self) -> float:
@@ -60,13 +82,16 @@ def resolve_ions(
     medium: str = DEFAULT_MEDIUM,
     minerals: list[str] | None = None,
     balance: str | None = None,
-    **options: str,
+    bath_volume: float | None = None,
+    exchange_every: float | None = None,
+    **options: str | tuple[str, ...],
 ) -> IonSettings:
     """Read a medium and its reaction set.
 
     medium : name of a shipped medium, or path of a TOML file; minerals : names, None for the
     default ones that the set holds; balance : a species whose amount is what neutrality wants
-    (the medium's charge is otherwise made up by H); options : activity, flux_form, closure.
+    (the medium's charge is otherwise made up by H); bath_volume, exchange_every : m^3 and s
+    (default: those of the medium's file); options : activity, flux_form, closure, open_to.
 
     Raises ValueError or FileNotFoundError with one sentence for whatever cannot be computed.
     """
@@ -103,6 +128,9 @@ def resolve_ions(
         if not n.startswith("minerals.") or n.split(".")[1] in used
     ]
     assumed += [f"{loaded.name}: {n}" for n in loaded.assumed()]
+    exchange = exchange_every
+    if exchange is None and loaded.refresh_interval and _or(bath_volume, loaded.bath_volume):
+        exchange = loaded.refresh_interval.si
     settings = IonSettings(
         medium=loaded.name,
         title=loaded.title,
@@ -110,10 +138,17 @@ def resolve_ions(
         totals=totals,
         chemistry=_plain(chemistry),
         activity=reactions.activity if reactions.activity != "davies" else "fixed",
+        bath_volume=_or(bath_volume, loaded.bath_volume),
+        exchange_every=exchange,
         assumed=tuple(assumed),
         source={"medium": str(Path(medium))},
     )
     return replace(settings, **options)
+
+
+def _or(given: float | None, listed: perilife_data.Quantity | None) -> float | None:
+    """What was given, else what the medium's file lists."""
+    return given if given is not None or listed is None else listed.si
 
 
 def _balanced(totals: dict[str, float], charges: dict[str, int], balance: str) -> dict[str, float]:

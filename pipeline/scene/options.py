@@ -38,7 +38,13 @@ from pipeline.scene.scene import (
     SolidFile,
 )
 from pipeline.scene.screw import THREADS, ScrewParameters
-from pipeline.scene.units import METRES_PER, parse_angle, parse_length, parse_time
+from pipeline.scene.units import (
+    METRES_PER,
+    parse_angle,
+    parse_length,
+    parse_time,
+    parse_volume,
+)
 
 _SCREW_LENGTHS = {
     "diameter": "of the thread, outer (2mm)",
@@ -149,6 +155,11 @@ def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -
     ions.add_argument("--activity", metavar="A", help=", ".join(ACTIVITIES))
     ions.add_argument("--flux-form", metavar="F", help=f"{', '.join(FLUX_FORMS)} (sqra)")
     ions.add_argument("--closure", metavar="C", help=f"{', '.join(CLOSURES)} (electroneutral)")
+    ions.add_argument(
+        "--bath-volume", metavar="VOLUME", help="of the stirred medium, 50mL (it never changes)"
+    )
+    ions.add_argument("--exchange-every", metavar="T", help="time between fresh baths, 2d (never)")
+    ions.add_argument("--open-to", nargs="+", metavar="GAS", help="of the bath: CO2 (closed)")
     ions.add_argument("--balance", metavar="ION", help="its amount as neutrality wants it")
     tensile = parser.add_argument_group("tensile test, where the preset is not wanted")
     tensile.add_argument(
@@ -338,12 +349,19 @@ def _domain(options: argparse.Namespace) -> DomainSettings | None:
 
 def _ions(options: argparse.Namespace) -> IonSettings | None:
     names = ("medium", "minerals", "activity", "flux_form", "closure", "balance")
+    names = (*names, "bath_volume", "exchange_every", "open_to")
     given = {n: getattr(options, n) for n in names if getattr(options, n) is not None}
     if options.model == "bi-material":
         if given:
             name = next(iter(given)).replace("_", "-")
             raise ValueError(f"--{name} goes with --model nnpp, which must be given too")
         return None
+    if options.bath_volume is not None:
+        given["bath_volume"] = parse_volume(options.bath_volume, "bath volume")
+    if options.exchange_every is not None:
+        given["exchange_every"] = parse_time(options.exchange_every, "exchange every").seconds
+    if options.open_to is not None:
+        given["open_to"] = tuple(options.open_to)
     return resolve_ions(**given)
 
 

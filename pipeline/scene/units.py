@@ -13,6 +13,9 @@ SECONDS_PER = UNITS["time"]
 METRES_PER = UNITS["length"]
 """Length units accepted for solids from a file and their length in metres."""
 
+_VOLUMES = {name: size for name, size in UNITS["volume"].items() if name.isalpha()}
+"""Volume units accepted on the command line and their size in cubic metres."""
+
 RADIANS_PER = UNITS["angle"]
 """Angle units accepted on the command line and their size in radians."""
 
@@ -125,6 +128,19 @@ def parse_in(text: str, field: str, units: dict[str, float], example: str) -> fl
     Raises ValueError with one sentence when the number or the unit is missing or wrong.
     """
     return _parse(text, field, units, example)[1]
+
+
+def parse_volume(text: str, field: str = "volume") -> float:
+    """Read a volume such as `50mL` or `0.2L` and return cubic metres.
+
+    Raises ValueError with one sentence when the number or the unit is missing or wrong, or the
+    volume is not above 0.
+    """
+    number, volume = _parse(text, field, _VOLUMES, "50mL or 0.2L")
+    _refuse_negative(number, text, field)
+    if volume == 0:
+        raise ValueError(f"{field} '{text}' is 0; it must be above 0")
+    return volume
 
 
 def parse_length(text: str, field: str = "length") -> float:

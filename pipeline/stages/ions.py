@@ -14,9 +14,11 @@ from scipy.ndimage import distance_transform_edt
 from peri.corrosion.nodes.problem import CorrosionProblem
 from peri.corrosion.run import HISTORY, CorrosionResult
 from peri.corrosion.scene import CorrosionScene
+from peri.coupled.bath import Bath, Exchanges
 from peri.coupled.degradation import Degradation
 from peri.engine.march.marching import TimeStepping, march
 from peri.engine.march.problem import State
+from peri.engine.march.runge_kutta import RungeKutta
 from peri.engine.omission import Omission
 from peri.engine.results import Field, axes_of, write_result
 from peri.omissions.ions import ion_omissions
@@ -85,6 +87,18 @@ def medium_of(ions: IonSettings) -> Solution:
     return medium
 
 
+def bath_of(ions: IonSettings) -> Bath | None:
+    """The bath around the liquid, if it is finite."""
+    if ions.bath_volume is None:
+        return None
+    return Bath(ions.bath_volume, ions.exchange_every or math.inf, ions.open_to)
+
+
+def problem_of(corrosion: CorrosionScene, ions: IonSettings) -> Degradation:
+    """Metal and liquid as one problem."""
+    return Degradation(corrosion, medium_of(ions), options_of(ions), bath=bath_of(ions))
+
+
 def options_of(ions: IonSettings) -> TransportOptions:
     """How the scene asks for the liquid to be solved."""
     return TransportOptions(flux_form=ions.flux_form, closure=ions.closure)
@@ -108,7 +122,7 @@ def corrode_with_ions(
     Where no mineral can form, the metal is marched as without ions and the liquid is computed at
     the output times (the metal's kinetics does not read it); else both go together.
     """
-    problem = Degradation(corrosion, medium_of(ions), options_of(ions))
+    problem = problem_of(corrosion, ions)
     omissions = ion_omissions(problem)
     if not problem.follows_minerals:
         result, of_metal = corrode_lean(
@@ -120,8 +134,11 @@ def corrode_with_ions(
         ):
             return result, [*of_metal, *omissions], _afterwards(problem, result), problem
         # Where the metal saturates its liquid, only the march knows what each bond carries.
+    method: TimeStepping | Exchanges = stepping
+    if ions.exchange_every is not None:
+        method = Exchanges(RungeKutta(stepping), ions.exchange_every)
     done = march(
-        problem, times, stepping, checkpoint=checkpoint, resume=resume,
+        problem, times, method, checkpoint=checkpoint, resume=resume,
         checkpoint_every=checkpoint_every, progress=progress,
     )  # fmt: skip
     concentration, metal, loss = (
@@ -162,7 +179,7 @@ def _afterwards(problem: Degradation, result: CorrosionResult) -> list[Output]:
 
 def plan_ions(corrosion: CorrosionScene, ions: IonSettings) -> list[Omission]:
     """What a march with these ions would leave out; solves for the first release."""
-    return ion_omissions(Degradation(corrosion, medium_of(ions), options_of(ions)))
+    return ion_omissions(problem_of(corrosion, ions))
 
 
 def write(
@@ -288,6 +305,7 @@ def ion_numbers(
                 "balance": float(output["balance"]),
                 "net_charge": float(output["net_charge"]),
                 "lowest": float(output["lowest"]),
+                "bath_ph": float(output["bath_ph"]) if "bath_ph" in output else None,
                 "hydrogen_mol": hydrogen,
                 "hydrogen_ml_per_cm2": 1e6 * _MOLAR_VOLUME_OF_GAS * hydrogen / (1e4 * area),
                 "minerals": {
@@ -312,9 +330,20 @@ def ion_numbers(
         "flux_form": ions.flux_form,
         "closure": ions.closure,
         "followed": problem.follows_minerals,
+        "stores": problem.stores,
+        "bath": _bath_in_words(ions),
         "assumed": list(ions.assumed),
         "rows": rows,
     }
+
+
+def _bath_in_words(ions: IonSettings) -> str:
+    if ions.bath_volume is None:
+        return ""
+    every = ions.exchange_every
+    words = f"a stirred bath of {1e6 * ions.bath_volume:g} mL, "
+    words += "never exchanged" if every is None else f"exchanged every {every / 86400:g} days"
+    return words + (f", open to {', '.join(ions.open_to)}" if ions.open_to else ", closed")
 
 
 def _finite(value: float) -> float | None:
