@@ -131,7 +131,9 @@ def test_the_template_has_every_option_and_the_defaults_are_those_of_a_run(
     base = {"alloy": said["alloy"], "immersion": said["immersion"], "out": said["out"]}
     whole = LifeCycle(**base)
     ions = ("medium", "minerals", "activity", "flux_form", "closure", "balance")
+    bath = {"model": "nnpp", "bath_volume": "10mL"}
     needs = {"bending_azimuth": {"load": "bending"}} | dict.fromkeys(ions, {"model": "nnpp"})
+    needs |= {"bath_volume": {"model": "nnpp"}, "exchange_every": bath, "open_to": bath}
     for key, (value, example) in shown.items():
         name = keyword(key)
         if name in ("solid", "unit", "image", "voxel", "threshold", "label", "cap"):
