@@ -1,4 +1,4 @@
-"""What is installed under the name perilife: the command, `LifeCycle`, and the way to the packages.
+"""What is installed under the name perilife: command, `LifeCycle`, `Results`, way to the packages.
 
 `peri`, `fem` and `pipeline` are good names in a checkout and bad ones in site-packages, where other
 distributions have a `pipeline` or `fem` of their own and pip would write one over the other.
@@ -18,7 +18,7 @@ if _PACKAGES.is_dir() and str(_PACKAGES) not in sys.path:
     _given = os.environ.get("PYTHONPATH")
     os.environ["PYTHONPATH"] = f"{_PACKAGES}{os.pathsep}{_given}" if _given else str(_PACKAGES)
 
-__all__ = ["LifeCycle", "main"]
+__all__ = ["LifeCycle", "Results", "main"]
 
 
 def main() -> int:
@@ -29,9 +29,9 @@ def main() -> int:
 
 
 def __getattr__(name: str) -> object:
-    """`LifeCycle`, imported when it is asked for."""
-    if name != "LifeCycle":
+    """`LifeCycle` and `Results`, imported when they are asked for."""
+    if name not in ("LifeCycle", "Results"):
         raise AttributeError(f"module 'perilife' has no attribute {name!r}")
-    from pipeline import LifeCycle
+    import pipeline
 
-    return LifeCycle
+    return getattr(pipeline, name)

@@ -4,11 +4,10 @@ Cost: half a minute of processor time; nothing more where three_lines.py has run
 The same without Python: perilife export RUN --to inp --time 8w
 """
 
-from pipeline import LifeCycle
+from perilife import LifeCycle
 
 result = LifeCycle("Mg-5Gd", "8w").run()
 state = result.state("8w")
 print(f"{len(state.cells)} tetrahedra, {state.dead.sum()} of them carry nothing")
-print(f"mean of f: {state.corrosion_damage.mean():.3f}")
 for path in result.export("inp", "8w"):
     print(path)  # `ccx` with its name, less .inp, in that folder pulls it

@@ -5,7 +5,7 @@ Cost: a minute of processor time.
 
 from pathlib import Path
 
-from pipeline import LifeCycle
+from perilife import LifeCycle
 
 alloy = Path(__file__).with_name("my-alloy.toml")
 result = LifeCycle(alloy, "4w", hold=["shank", "slot"]).run()

@@ -3,7 +3,7 @@
 Cost: half a minute of processor time. Asked again, the run is read from runs/.
 """
 
-from pipeline import LifeCycle
+from perilife import LifeCycle
 
 result = LifeCycle("Mg-5Gd", "8w").run()
 print(result)
