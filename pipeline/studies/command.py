@@ -14,6 +14,9 @@ STUDIES = {
     "tensile": "error of peak force and strength left against processor time, presets (20 min)",
     "nnpp": "ions: error against processor time; --published: the published features (3 min)",
     "published": "the published tensile outcome beside what pulled end faces give",
+    "galvanic": "AE44 beside steel and AA6063: renewal, spacing, horizon, printed slopes (2 min)",
+    "crevice": "which seeds ignite, right and as on the printed lattice (1 min)",
+    "pitting": "onset of a salt layer, and a lacy cover, by spacing and step (3 min)",
     "calibration": "searches of a fit by evaluations, and surrogates by points (2 min)",
     "life-cycle": "where the error of the strength left comes from, and what less of it costs",
 }
@@ -57,6 +60,10 @@ def run_study(options: argparse.Namespace) -> None:
 
         show = ions_published.print_published_ions if options.published else ions.print_ions
         show(Path(options.out) if options.out else None)
+        return
+    if options.what in ("galvanic", "crevice", "pitting"):
+        localised = importlib.import_module("pipeline.studies.localised")
+        getattr(localised, f"print_{options.what}")()
         return
     if options.what in ("rates", "boundaries", "saturation"):  # print, and need nothing
         study = importlib.import_module(f"pipeline.studies.{options.what}")
