@@ -147,18 +147,28 @@ def test_the_command_refuses_in_one_sentence(more, words, tmp_path, capsys):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("alloy", "week", "end"), [("Mg-5Gd", 0.201, 0.493), ("Mg-10Gd", 0.215, 0.451)]
+    ("alloy", "marched", "fine"),
+    [("Mg-5Gd", (0.201, 0.493), (0.212, 0.508)), ("Mg-10Gd", (0.212, 0.448), (0.220, 0.455))],
 )
-def test_the_published_ratios_are_those_of_the_losses_and_no_constants(alloy, week, end):
-    """Table 5.5 by marches; "0.5 and 0.46" are printed, and follow from no diffusivities."""
-    days = [7.0, 100.0]
-    losses = [
-        march(
-            resolve_scene([alloy], ["100d"], parameter_set=name).to_json(),
-            alloy,
-            [86400.0 * day for day in days],
-        )
-        for name in ("table-5.5-in-vitro", "table-5.5-in-vivo")
-    ]
-    ratio = np.array(losses[0]) / losses[1]
-    assert ratio == pytest.approx([week, end], abs=0.01)  # printed to 0.01 at best
+def test_the_published_ratios_are_those_of_the_losses_and_no_constants(alloy, marched, fine):
+    """Table 5.5 after 7 and 100 days; "0.5 and 0.46" are printed, and follow from no diffusivities.
+
+    The lattice's error of the ratio is that of the faster medium; on 40 um it is 0.508 and 0.456.
+    """
+    times = 86400.0 * np.array([7.0, 100.0])
+    marches, reduced = [], {100e-6: [], 50e-6: []}
+    for name in ("table-5.5-in-vitro", "table-5.5-in-vivo"):
+        for spacing, losses in reduced.items():
+            scene = resolve_scene([alloy], ["100d"], parameter_set=name, spacing=spacing)
+            if spacing == 100e-6:
+                marches.append(march(scene.to_json(), alloy, times.tolist()))
+            model = ReducedModel(scene, alloy, Implant(scene), ACTING)
+            logs = np.log([constants(scene, alloy)[each] for each in ACTING])
+            losses.append(model(times, logs)[0])
+    slow, fast = np.array(marches)
+    assert slow / fast == pytest.approx(marched, abs=0.001)
+    ratios = {spacing: slow / fast for spacing, (slow, fast) in reduced.items()}
+    # the liquid hardly counts: measured 0.0005 of the ratio
+    assert ratios[100e-6] == pytest.approx(slow / fast, abs=0.001)
+    assert ratios[50e-6] == pytest.approx(fine, abs=0.001)
+    assert ratios[50e-6][1] == pytest.approx({"Mg-5Gd": 0.503, "Mg-10Gd": 0.451}[alloy], abs=0.01)
