@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from peri.corrosion.choices import BOUNDARIES, FLUX_CALIBRATIONS, SATURATION_MODELS
+from peri.corrosion.choices import BOUNDARIES, CLASS_LAWS, FLUX_CALIBRATIONS, SATURATION_MODELS
 from peri.corrosion.coating import Coating
 from peri.corrosion.kinetics import QUANTITIES, ConstantRate, Kinetics
 from peri.corrosion.laws import InterfaceLaw, interface_law
@@ -151,13 +151,17 @@ class CorrosionScene:
         object.__setattr__(self, "_stencil", self._make_stencil())
 
     def _check_exposure(self) -> None:
-        """Rate classes are derived for one law so far; the others are refused by name."""
+        """What rate classes do not have is refused by name."""
+        law = self.dissolution.name
+        bounds = ("complementarity", "none") if law == "faradaic" else ("complementarity",)
         for name, given, allowed in (
-            ("dissolution", self.dissolution.name, "proportional"),
-            ("saturation", self.saturation, "complementarity"),
+            ("dissolution", law, CLASS_LAWS),
+            ("saturation", self.saturation, bounds),
         ):
-            if given != allowed:
-                raise ValueError(f"{name}: {given!r} with rate classes; allowed: {allowed}")
+            if given not in allowed:
+                raise ValueError(
+                    f"{name}: {given!r} with rate classes; allowed: {', '.join(allowed)}"
+                )
         if not self.one_rate:
             raise ValueError(
                 f"kinetics: {type(self.kinetics).__name__} gives one rate per node; rate classes "

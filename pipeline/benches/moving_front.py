@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 RADIUS = 3.0
 """In horizons."""
 LOSSES = np.array([0.1, 0.2, 0.33, 0.5, 0.667])
-LAWS = {"proportional": 1e-5}
+LAWS = {"proportional": 1e-5, "faradaic": 1e-5}
 """C_sat/C_solid by law."""
 
 

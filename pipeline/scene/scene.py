@@ -164,8 +164,8 @@ class CorrosionSettings:
         check(0 <= self.classes <= 8, "rate classes", self.classes, "0 (none) to 8")
         if self.classes:
             on = "where there are rate classes"
-            one_of(f"dissolution {on}", self.dissolution, ("proportional",))
-            one_of(f"saturation {on}", self.saturation, ("complementarity",))
+            free = ("none",) if self.dissolution == "faradaic" else ()
+            one_of(f"saturation {on}", self.saturation, ("complementarity", *free))
             one_of(f"time scheme {on}", self.scheme, ("sdirk2", "backward_euler"))
             check(
                 self.kernel_exponent < 0.5, "kernel exponent", self.kernel_exponent, f"< 1/2 {on}"

@@ -7,6 +7,7 @@ classes where the liquid is given, and says how fast their life goes (columns.py
 from __future__ import annotations
 
 import math
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +22,14 @@ class Bonds:
     """Classes eliminated, for given saturation factors and right side; a law derives from it.
 
     theta : padded factors.  old : (n,) right side of the classes, mol/m^3.  tau : s.
+    by_class : whether a class's loss changes smoothly in time; else steps are judged by all
+    metal's.  ahead : steps by which the volumes that the rates of the next step are for are ahead.
     rate : k = D_int g, m^2/s.  diagonal : the liquid's own share of its outflow into the metal.
     storage_share : mean share of a class's response that is storage, for the preconditioner.
     """
 
+    by_class: ClassVar[bool] = True
+    ahead: ClassVar[float] = 0.5
     storage_share = 1.0
     diagonal: Array | float = 0.0
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from peri.corrosion.classes.cells import Cells
+from peri.corrosion.classes.laws import CLASS_BONDS
 from peri.corrosion.nodes.problem import COLUMNS
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.march.checkpoints import fingerprint
@@ -25,8 +26,8 @@ class CellProblem(FirstOrder):
     """A corrosion scene with rate classes, discretised and ready to be marched.
 
     Fields of its states: `concentration` (padded, of the liquid, mol/m^3), `classes` (of the
-    metal), `volume` (what is metal of the classes, relative), `ahead` (the same half
-    a step on, which the rates are for), `life` (of the classes, columns.py) and
+    metal), `volume` (what is metal of the classes, relative), `ahead` (the same some way
+    on, which the rates are for), `life` (of the classes, columns.py) and
     `theta` (padded).
 
     Parameters
@@ -78,9 +79,17 @@ class CellProblem(FirstOrder):
 
     def accept(self, state: State, stages: Sequence[Stage], step: float) -> None:
         """What is gone of the classes turns liquid."""
+        liquid, solid = state.fields["concentration"], self.scene.solid_concentration
+        if self.scene.saturation == "none" and liquid.max() > solid * (1 + 1e-12):
+            raise ValueError(
+                "saturation: 'none' with dissolution 'faradaic'; the liquid fills beyond the "
+                f"metal's concentration at {state.time:.4g} s, use 'complementarity'"
+            )
         changed = ("concentration", "classes", "life")
         fields = {name: state.fields[name].copy() for name in changed}
-        state.numbers["dissolved"] = self.cells.dissolve(*fields.values())
+        state.numbers["dissolved"] = self.cells.dissolve(
+            *fields.values(), CLASS_BONDS[self.scene.dissolution.name].ahead
+        )
         state.fields.update(fields, volume=self.cells.volume, ahead=self.cells.ahead)
         state.numbers["volume_loss"] = self.cells.volume_loss(fields["classes"])
 
@@ -135,6 +144,11 @@ class CellProblem(FirstOrder):
             solved.iterations,
         )  # fmt: skip
 
+    def continues(self, first: Stage, right: Fields) -> bool:
+        """Whether no class is empty, where a class gives what it should until then."""
+        by_class = CLASS_BONDS[self.scene.dissolution.name].by_class
+        return by_class or bool(right["classes"].min() >= 0)
+
     def pace(self, state: State) -> float:
         """The fastest class's relative loss, 1/s."""
         cells = self.cells
@@ -149,11 +163,11 @@ class CellProblem(FirstOrder):
     def admissible(self, old: State, stages: Sequence[Stage]) -> bool:
         """Whether no class gained or fell below zero and the liquid kept its bounds."""
         new, solid = stages[-1].fields, self.scene.solid_concentration
+        highest = solid if self.scene.saturation == "none" else self.scene.saturation_concentration
         rounding, metal = 1e-12 * solid, self.cells.volume > 0
         classes, liquid = new["classes"][metal], new["concentration"]
         rose = np.any(classes > old.fields["classes"][metal] + rounding)
-        saturated = self.scene.saturation_concentration
-        over = liquid.max() > saturated * (1 + 1e-9)
+        over = liquid.max() > highest * (1 + 1e-9)
         return not (rose or over or classes.min(initial=0.0) < 0 or liquid.min() < -rounding)
 
     def change(self, attempt: Attempt) -> float:
@@ -163,7 +177,9 @@ class CellProblem(FirstOrder):
         progress = float(cells.volume @ np.abs(change))
         if progress <= 0.1 * cells.tolerance * cells.metal_scale:
             return 0.0
-        off = float(cells.volume @ np.abs(change - attempt.expected["classes"])) / progress
+        away = cells.volume * (change - attempt.expected["classes"])
+        by_class = CLASS_BONDS[self.scene.dissolution.name].by_class
+        off = float(np.abs(away).sum() if by_class else abs(away.sum())) / progress
         late = self._late(new, attempt.stages[-1].fields["life"])
         return max(attempt.share * off, _LATE * late)
 

@@ -57,7 +57,8 @@ class StageSolver:
         """Solve Y = old + tau F(Y), kinetics and saturation included; see BiMaterial."""
         saturated = self.cells.scene.saturation_concentration
         y = np.where(self.cells.free, guess, 0.0)
-        reached = self.cells.free & (self.cells.pull > 0)
+        bounded = self.cells.scene.saturation == "complementarity"
+        reached = self.cells.free & (self.cells.pull > 0) & bounded
         if theta is None:
             theta = np.ones(y.shape)
         old, old_classes, owed = self._repaid(old, old_classes, theta)

@@ -5,8 +5,9 @@ concentration.  With G_ip = K Lambda_ip the bond sum that class p sees in truth 
 
     v_ip dC_ip/dt = -k sum_j theta_j M_ip,j (C_ip - C_j),           k = D_int g(V_L),
     c_j  dC_j/dt  = D_liq sum_k w_jk c_j c_k (C_k - C_j) + k theta_j sum_ip M_ip,j (C_ip - C_j),
-    M_ip,j = v_ip mu_ip w_ij c_j nu_j >= 0.
+    M_ip,j = v_ip mu_ip w_ij c_j nu_j >= 0,
 
+with C_solid in place of C_ip - C_j under Faraday's law, until the class is empty.
 mu and nu are balanced so that each class and each liquid cell has its own exposure,
 sum_j w_ij c_j nu_j mu_ip = G_ip (exact, last) and nu_j sum_ip v_ip mu_ip w_ij = G_j^liquid.  M is
 one number a pair: the form is symmetric, conserves the amount and keeps 0 <= C_j <= C_sat.  In
@@ -50,13 +51,13 @@ class Volumes:
     Parameters
     ----------
     scene : CorrosionScene
-        With an `exposure`; proportional law, complementarity, kinetics of one number.
+        With an `exposure`; kinetics of one number.
     tolerance : float
         Residual norm relative to the sources at which a linear solution is accepted.
 
     columns : the classes in their order.  cell : (n,) each class's cell in the flattened padded
-    lattice.  volume : (n,) relative, what is metal of a class.  bond_sum : (n,) G, 1/m^2.  share :
-    padded, c.  ends : mol/m^3, what metal holds where it ends.
+    lattice; place : (r,) each column's.  volume : (n,) relative, what is metal of a class.
+    bond_sum : (n,) G, 1/m^2.  share : padded, c.  ends : mol/m^3, what metal holds where it ends.
     """
 
     def __init__(self, scene: CorrosionScene, tolerance: float = 1e-9) -> None:
@@ -68,6 +69,8 @@ class Volumes:
         front = FlatFront(scene.horizon, scene.kernel_exponent, scene.influence)
         self.columns = Columns(exposed.metal, height, front)
         self.cell = places[self.sum.interior].ravel()[self.columns.cell]
+        self.place = np.zeros(self.columns.first.size, int)
+        self.place[self.columns.row] = self.cell
         self.initial_volume = self.columns.volume
         self.initial_bond_sum = constant_of(scene) * self.columns.exposure
         self.liquid_bond_sum = self.sum.pad(constant_of(scene) * exposed.liquid)
@@ -148,10 +151,9 @@ class Volumes:
         total = self._front_sum.stencil.total
         whole = columns.total(self.initial_volume)
         exact = columns.total(self.initial_volume * self.initial_bond_sum) / whole
-        place = np.zeros(columns.first.size, int)
-        place[columns.row] = self.cell
         seen, before = (
-            np.maximum(total - field.ravel()[place], 0.0) for field in (seen_metal, self._at_first)
+            np.maximum(total - field.ravel()[self.place], 0.0)
+            for field in (seen_metal, self._at_first)
         )
         before[before < 1e-9 * total] = 0.0
         ratio = np.divide(seen, before, out=np.full_like(seen, np.inf), where=before > 0)
@@ -231,11 +233,12 @@ class Volumes:
         grown = self.initial_free + self.scatter(self.initial_volume - left)
         return np.where(self.gather(grown) < _SMALLEST_SHARE, volume, left)
 
-    def dissolve(self, liquid: Array, classes: Array, life: Array) -> int:
+    def dissolve(self, liquid: Array, classes: Array, life: Array, ahead: float) -> int:
         """What is gone of the classes becomes liquid of their cells; how many end with it.
 
         Each part that goes takes C_end with it, the last one what its class still holds.  All
-        three arrays change in place.
+        three arrays change in place.  ahead : how many steps like the one that led here the
+        rates are for.
         """
         left, before = self.left(classes, life), self.volume
         if np.array_equal(left, before):
@@ -247,7 +250,7 @@ class Volumes:
         thinner = left < before
         classes[thinner] = np.where(gone, 0.0, self.ends + (classes - self.ends) * ratio)[thinner]
         life[thinner] *= ratio[thinner]
-        self.set_volumes(left, np.maximum(left - 0.5 * (before - left), 0.0))
+        self.set_volumes(left, np.maximum(left - ahead * (before - left), 0.0))
         liquid[:] = np.divide(
             content, self.free_share, out=np.zeros_like(content), where=self.free_share > 0
         )

@@ -74,8 +74,9 @@ def test_scene_with_classes():
     assert lost[1].sum() == pytest.approx(lost[0].sum(), rel=5e-3)
     outside = march.metal & ~metal
     assert outside.any() and nodes.concentration[0][outside].max() <= march.saturation_concentration
-    with pytest.raises(SceneError, match="dissolution where there are rate classes"):
-        replace(settings, dissolution="faradaic")
+    assert replace(settings, dissolution="faradaic", saturation="none").classes
+    with pytest.raises(SceneError, match="saturation where there are rate classes"):
+        replace(settings, saturation="none")
     with pytest.raises(SceneError, match="rate classes"):
         replace(settings, classes=9)
     assert stage.exposure_of(

@@ -137,10 +137,11 @@ def test_clean_liquid_is_the_scalar_equation():
     np.testing.assert_allclose(lean.volume_loss, exact, rtol=1e-12)
 
 
+@pytest.mark.parametrize("law", ["proportional", "faradaic"])
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_balance_and_bounds_of_random_scenes(seed):
+def test_balance_and_bounds_of_random_scenes(seed, law):
     scene = random_classes(
-        seed, boundary=("refreshed", "no_flux", "refreshed")[seed],
+        seed, dissolution=law, boundary=("refreshed", "no_flux", "refreshed")[seed],
         liquid_diffusivity=(1.0, 0.1, 1e-3)[seed],
     )  # fmt: skip
     problem = CellProblem(scene)
@@ -158,7 +159,9 @@ def test_balance_and_bounds_of_random_scenes(seed):
         after = cells.volume @ stage.classes + (cells.free_share * stage.liquid).sum()
         released = tau * stage.release_rate / scene.lattice.cell_volume
         assert abs(after + released - before) < 1e-12 * before
-        assert stage.liquid.min() >= 0 and stage.liquid.max() <= 1.0 + 1e-9
+        assert (
+            stage.classes.max() > 0 and stage.liquid.min() >= 0 and stage.liquid.max() <= 1.0 + 1e-9
+        )
         assert stage.classes.max() <= 100.0 * (1 + 1e-12) and stage.classes.min() >= 0
 
 
@@ -210,10 +213,27 @@ def test_checkpoint_and_resume_bitwise(tmp_path):
     assert np.array_equal(again.history["step"], whole.history["step"])
 
 
+def test_faraday_without_saturation():
+    free = {"dissolution": "faradaic", "saturation": "none", "kinetics": ConstantRate()}
+    scene = brick(boundary="refreshed", liquid_diffusivity=1e-3, **free)
+    found = corrode(scene, [200.0, 1000.0], TimeStepping())
+    assert np.abs(found.history["balance_error"]).max() < 1e-12
+    # No metal empties so early: the flux of all classes, whatever the liquid.
+    metal = scene.exposure.metal
+    flux = 3 / np.pi * float(metal.volume @ metal.exposure) / float(metal.volume.sum())
+    lost = scene.base_interface_diffusivity() * flux * 200.0
+    assert found.volume_loss[0] == pytest.approx(lost, rel=1e-9)
+    assert found.concentration[-1][found.metal[-1] == 0].max() > scene.saturation_concentration
+    problem = CellProblem(scene)
+    full = problem.initial()
+    full.fields["concentration"] = full.fields["concentration"] + 101.0
+    with pytest.raises(ValueError, match="'none' with dissolution 'faradaic'; the liquid fills"):
+        problem.accept(full, [], 1.0)
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"dissolution": "faradaic"}, "dissolution: 'faradaic' with rate classes"),
         ({"saturation": "as_published"}, "saturation: 'as_published' with rate classes"),
         ({"saturation": "none"}, "saturation: 'none' with rate classes"),
     ],

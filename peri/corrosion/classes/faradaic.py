@@ -1,0 +1,109 @@
+"""Rate classes under Faraday's law: a bond carries k M C_solid, whatever its class still holds.
+
+What a class could not give any more in a stage is given by those that still can: the others of its
+cell first, then the cells around, in proportion to their flux and along their own bonds.  Each part
+has a metal that loses it and a liquid that receives it, so the amounts add up, and a stage of
+constant rates delivers the whole flux while there is metal to carry it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from peri.corrosion.classes.bonds import Bonds
+
+Array = NDArray[np.float64]
+
+_ROUNDS = 40
+_NOTHING = 1e-13
+"""Of the metal: amounts below it are not handed on any more."""
+
+
+class FaradaicBonds(Bonds):
+    """A bond carries k M C_solid until its class is empty.
+
+    on : (n,) what each class carries over what its bonds would: below 1 where it is emptied, above
+    where it carries for others.
+    """
+
+    by_class = False
+    ahead = 0.0  # what a class lacks within a step others give already
+
+    def settle(self, liquid: Array, start: float) -> float:
+        """See Bonds.settle; a constant rate needs no search."""
+        if self.cells.scene.kinetics.needs:
+            return super().settle(liquid, start)
+        self.rate = self.cells.rate(start)
+        return self.cells.volume_loss(self.value())
+
+    def draw(self, liquid: Array) -> None:
+        """Nothing: the liquid plays no part but for its factors."""
+
+    def settled(self) -> None:
+        """Nothing follows from the rate alone."""
+
+    def value(self) -> Array:
+        """old - on tau k C_solid mu b, >= 0."""
+        demand = self.tau * self.rate * self.cells.scene.solid_concentration * self.seen
+        given = self._given(demand)
+        full = (self.old > 0).astype(float)
+        self.on = np.divide(given, demand, out=full, where=demand > 0)
+        return self.old - given
+
+    def _given(self, demand: Array) -> Array:
+        """What each class gives, mol/m^3, if each should give `demand` and none what it lacks."""
+        cells, columns = self.cells, self.cells.columns
+        volume, old = cells.volume, self.old
+        given = np.minimum(demand, old)
+        over = columns.total(volume * (demand - given))
+        least = _NOTHING * float(volume @ old)
+        for _ in range(_ROUNDS):
+            if over.sum() <= least:
+                break
+            room = volume * (old - given)
+            pull = np.where(room > _NOTHING * volume * old, volume * demand, 0.0)
+            in_cell = columns.total(pull)
+            if not in_cell.any():
+                break  # all the metal that sees liquid is used up
+            factor = np.divide(over, in_cell, out=np.zeros_like(over), where=in_cell > 0)
+            taken = np.minimum(pull * factor[columns.row], room)
+            given = given + np.divide(taken, volume, out=np.zeros_like(taken), where=volume > 0)
+            over = over - columns.total(taken)
+            stuck = np.where(in_cell > 0, 0.0, over)
+            if stuck.any():
+                over += self._around(stuck, in_cell) - stuck
+        return np.minimum(given, old)
+
+    def _around(self, amount: Array, pull: Array) -> Array:
+        """Amounts of the columns, handed to those around in proportion to their pull."""
+        cells = self.cells
+        shape, place = cells.sum.padded_shape, cells.place
+        field = np.zeros(shape)
+        field.ravel()[place] = pull
+        reached = cells.near(field).ravel()[place]
+        field.ravel()[place] = np.divide(
+            amount, reached, out=np.zeros_like(amount), where=reached > 0
+        )
+        return pull * cells.near(field).ravel()[place]
+
+    def ageing(self, classes: Array) -> Array:
+        """Of C / C_solid."""
+        return (classes - self.old) / (self.tau * self.cells.scene.solid_concentration)
+
+    def arriving(self, classes: Array) -> Array:
+        """See Bonds.arriving."""
+        cells = self.cells
+        flux = cells.near(cells.scatter(cells.volume * cells.mu * self.on))
+        return self.rate * cells.scene.solid_concentration * cells.nu * flux
+
+    def offered(self, classes: Array, liquid: Array | float) -> Array:
+        """See Bonds.offered."""
+        return self.cells.free_share * self.arriving(classes)
+
+    def correct(self, classes: Array, change: Array, saturated: float) -> Array:
+        """See Bonds.correct."""
+        cells = self.cells
+        seen = cells.mu * cells.gather(cells.near(change * cells.free_share * cells.nu))
+        flux = self.rate * cells.scene.solid_concentration * self.on * seen
+        return np.clip(classes - self.tau * flux, 0.0, self.old)
