@@ -93,11 +93,12 @@ BELOW = {
     },
     "peri.transport": {
         "liquid": set(),
+        "mixing": set(),
         "fluxes": set(),
         "potential": set(),
         "chemistry": {"liquid"},
-        "nernst_planck": {"chemistry", "fluxes", "liquid"},
-        "stored": {"chemistry", "liquid", "nernst_planck"},
+        "nernst_planck": {"chemistry", "fluxes", "liquid", "mixing"},
+        "stored": {"chemistry", "liquid", "mixing", "nernst_planck"},
     },
     "pipeline": {
         "scene": set(),

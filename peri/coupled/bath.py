@@ -23,8 +23,8 @@ from peri.engine.solvers import ConvergenceError
 from peri.transport.chemistry.speciation import Solution, speciate
 from peri.transport.chemistry.species import MOLAR
 from peri.transport.liquid import LiquidState
+from peri.transport.mixing import Mixing
 from peri.transport.nernst_planck import QuasiSteadyLiquid
-from peri.transport.stored import Mixing
 
 _ROUNDS = 40
 _TOLERANCE = 1e-11

@@ -349,8 +349,12 @@ class QuasiSteadyLiquid:
         if self.options.closure == "poisson":
             permittivity = VACUUM_PERMITTIVITY * _permittivity(chemistry.temperature)
         charge_scale = permittivity * thermal / FARADAY
+        mobility = np.zeros(len(chemistry.components))
+        for e, z, weight in self._groups:
+            mobility[e] += z * float(weight @ self.edge)
         for sweep in range(1, _MAXIMUM_SWEEPS + 1):
             support = z2 @ state.concentration
+            old_psi = state.psi
             if published:
                 right = (
                     space.volume * state.net_charge * (FARADAY / (PUBLISHED_CONDUCTIVITY * thermal))
@@ -384,11 +388,13 @@ class QuasiSteadyLiquid:
                     f"{residual:.2g}, {absolute:.2g} wanted); the liquid holds too little salt for "
                     "this release"
                 )
-            tight = max(0.1 * absolute, 1e-3 * residual)
+            tight = max(0.1 * absolute, 1e-4 * residual)
             before = state.migrated.copy()
+            # In a uniform liquid a change of psi moves X_e by as much.
+            moved = state.psi - old_psi
             for e in range(inflow.shape[0]):
                 state.migrated[e], used = space.solve(
-                    self.plain, space.volume * inflow[e], before[e], tight
+                    self.plain, space.volume * inflow[e], before[e] - mobility[e] * moved, tight
                 )
                 state.iterations += used
             self._compose_between(state, before)

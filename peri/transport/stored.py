@@ -28,11 +28,10 @@ from peri.engine.solvers import ConvergenceError
 from peri.transport.chemistry.composition import CompositionError
 from peri.transport.chemistry.speciation import Solution
 from peri.transport.liquid import LiquidSpace, LiquidState
+from peri.transport.mixing import Mixing
 from peri.transport.nernst_planck import QuasiSteadyLiquid, TransportOptions
 
 _MAXIMUM_ROUNDS = 200
-_MEMORY = 8
-"""Rounds that Anderson's mixing looks back on; more no longer help, fewer take more rounds."""
 _ROUND_OFF = 5e-14
 """Of the largest content per step: a residual below this is round-off (measured 2e-14 in sbf)."""
 
@@ -273,23 +272,3 @@ class StoredLiquid(QuasiSteadyLiquid):
         held = np.array([space.total(np.abs(v)) for v in content]) / step
         reference = np.maximum(held, space.total(np.abs(source)))
         return np.abs(gained - formed - left - stored) / np.maximum(scale, reference)
-
-
-class Mixing:
-    """Anderson's: the last rounds of a fixed point x = f(x), so that the residual is least."""
-
-    def __init__(self) -> None:
-        self._x: list[np.ndarray] = []
-        self._f: list[np.ndarray] = []
-
-    def next(self, x: np.ndarray, found: np.ndarray) -> np.ndarray:
-        """The next x, from this one and f(x)."""
-        self._x.append(x)
-        self._f.append(found - x)
-        del self._x[: -_MEMORY - 1], self._f[: -_MEMORY - 1]
-        if len(self._x) == 1:
-            return found
-        dx = np.diff(np.array(self._x), axis=0)
-        df = np.diff(np.array(self._f), axis=0)
-        weight = np.linalg.lstsq(df.T, self._f[-1], rcond=1e-12)[0]
-        return found - weight @ (dx + df)
