@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 
 from pipeline.calibration.surrogate import Box
-from pipeline.campaigns.surrogate_bands import FIRST, Learned, _slope
+from pipeline.campaigns.banded import Samples
+from pipeline.campaigns.surrogate_bands import FIRST, Learned, MarchedSamples, _slope
 from pipeline.cli import main
 from pipeline.record.bands import read_bands
 from pipeline.record.doubts import read_doubts
+from pipeline.record.progress import Progress
 from pipeline.record.summary import read_summary
+from pipeline.scene.scene import SceneError
 from tests.pipeline.calibration.test_calibrate import PIN
 
 pytest.importorskip("sklearn")
@@ -33,6 +36,17 @@ def test_points_are_added_until_every_value_is_known():
     before = len(learned.points)
     learned.learn(40, 0.02)
     assert len(learned.points) == before
+
+
+def test_a_surrogate_that_errs_by_more_than_three_hundredths_is_refused():
+    noise = np.random.default_rng(1)
+    marched = object.__new__(MarchedSamples)
+    marched.alloy, marched.progress = "Mg-10Gd", Progress()
+    points = np.exp(noise.uniform(np.log(BOX.lower), np.log(BOX.upper), (30, 2)))
+    marched.samples, marched.most, marched.tolerance = Samples(BOX.names, points), FIRST, 0.01
+    marched.evaluate = lambda point: noise.uniform(size=2)
+    with pytest.raises(SceneError, match=r"it must be at most 0.03, with more --surrogate"):
+        marched.banded(None)
 
 
 def test_the_slope_is_that_of_the_samples():
