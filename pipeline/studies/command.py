@@ -8,6 +8,7 @@ from perilife_data import did_you_mean
 
 STUDIES = {
     "corrosion": "error of the volume loss against processor time, and the presets (15 min)",
+    "rate-classes": "what rate classes leave of the lattice's error (10 min)",
     "rates": "what lattice and orientation do to the dissolution rate (seconds)",
     "saturation": "what the time step does to the two saturation models (5 min)",
     "boundaries": "what no-flux walls and held layers do to diffusion near them (seconds)",
@@ -31,7 +32,7 @@ def add_study_options(parser: argparse.ArgumentParser) -> None:
         "--alloy",
         nargs="+",
         metavar="A",
-        help="corrosion: both Mg-Gd alloys; tensile and life-cycle: Mg-5Gd",
+        help="corrosion, rate-classes: both Mg-Gd alloys; tensile and life-cycle: Mg-5Gd",
     )
     parser.add_argument(
         "--immersion", nargs="+", metavar="T", help="tensile: 4w 8w 24w; life-cycle: 8w"
@@ -68,6 +69,11 @@ def run_study(options: argparse.Namespace) -> None:
     if options.what in ("rates", "boundaries", "saturation"):  # print, and need nothing
         study = importlib.import_module(f"pipeline.studies.{options.what}")
         getattr(study, f"print_{options.what}")()
+        return
+    if options.what == "rate-classes":
+        from pipeline.studies.rate_classes import print_rate_classes
+
+        print_rate_classes(options.alloy or ["Mg-5Gd", "Mg-10Gd"])
         return
     if options.what == "calibration":
         from pipeline.studies.calibration import study_calibration

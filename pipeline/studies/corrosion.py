@@ -119,7 +119,7 @@ class Study:
     explicit: tuple[tuple[str, float, float], ...]
 
 
-class _Cases:
+class Cases:
     """Corrosion scenes of one alloy on lattices of one solid."""
 
     def __init__(self, alloy: str, solid: Solid | None = None) -> None:
@@ -170,7 +170,7 @@ class _Cases:
 
 def screw_scene(alloy: str, ratio: int, saturation: str) -> CorrosionScene:
     """The scene of an alloy's published set with spacing = horizon / ratio."""
-    return replace(_Cases(alloy).scene(ratio), saturation=saturation)
+    return replace(Cases(alloy).scene(ratio), saturation=saturation)
 
 
 def _tight_lattice(solid: Solid, horizon: float, spacing: float, shift) -> Lattice:
@@ -190,7 +190,7 @@ def study_corrosion(
     rows, exact, spread, horizons, explicit = [], {}, [], [], []
     solid, horizon = None, 0.0
     for alloy in alloys:
-        cases = _Cases(alloy, solid)
+        cases = Cases(alloy, solid)
         solid, horizon = cases.solid, cases.horizon
         coarse = cases.scene(ratios[0])
         clean = any(o.name == LIQUID and o.applied for o in plan_omissions(coarse, TIMES[-1]))
@@ -358,7 +358,7 @@ def _explicit_cost(scene: CorrosionScene) -> tuple[float, float]:
     return limit, (time.process_time() - started) / 5
 
 
-def _position_spread(cases: _Cases, ratio: int, positions: int = 5) -> tuple[float, ...]:
+def _position_spread(cases: Cases, ratio: int, positions: int = 5) -> tuple[float, ...]:
     """Standard deviation of V_L at TIMES, relative, over random positions of the lattice."""
     random = np.random.default_rng(0)
     values = np.array(
@@ -370,6 +370,6 @@ def _position_spread(cases: _Cases, ratio: int, positions: int = 5) -> tuple[flo
     return tuple(map(float, values.std(axis=0, ddof=1) / values.mean(axis=0)))
 
 
-def _loss(cases: _Cases, horizon: float, ratio: int = 4) -> float:
+def _loss(cases: Cases, horizon: float, ratio: int = 4) -> float:
     """V_L after 56 days in clean liquid with another horizon."""
     return float(well_stirred(cases.scene(ratio, horizon), TIMES).volume_loss[-1])

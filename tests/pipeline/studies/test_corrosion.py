@@ -18,9 +18,9 @@ from pipeline.studies.corrosion import (
     LATTICE_CURVES,
     RATE_CHANGES,
     STEP_CURVES,
+    Cases,
     Row,
     Study,
-    _Cases,
 )
 from pipeline.studies.reference import continuum_volume_loss
 from tests.pipeline.geometry.solids import icosphere
@@ -120,7 +120,7 @@ def test_the_summary_names_the_cheapest_setting_of_each_error_or_the_best_one():
 
 
 def test_a_moved_lattice_holds_the_same_scene():
-    cases = _Cases("Mg-10Gd")
+    cases = Cases("Mg-10Gd")
     scene, (one, other) = cases.scene(2), (cases.moved(2, np.full(3, s)) for s in (0.2, 0.7))
     metal = [(s.capacity() * s.metal).sum() for s in (scene, one, other)]
     # measured 1.1e-4
