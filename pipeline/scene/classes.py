@@ -14,11 +14,6 @@ AUTO = "auto"
 WANTED = 3
 """Classes per cell that `auto` takes (peri.engine.surface.rate_classes.CLASSES)."""
 
-RATE_CHANGE = 0.1
-"""Largest control target of the steps that `auto` takes: with 0.2 and 0.4 a step of weeks empties
-skin classes, is taken at first order and errs by 1.2 % of V_L after 8 weeks, with 0.1 by 0.2 %
-(Mg-5Gd, reference screw at half a horizon; each march takes 2 to 4 s)."""
-
 
 def read_classes(text: str) -> int | str:
     """`auto` or a number, as typed."""
@@ -34,16 +29,11 @@ def one_rate_because(scene: Scene) -> str:
     return _obstacle(scene) or "as asked for: --classes auto takes rate classes"
 
 
-def with_classes(scene: Scene, keep_steps: bool = False) -> Scene:
-    """The scene with rate classes, where it allows them, and steps short enough for them.
-
-    keep_steps: leave the control target of the steps as it is.
-    """
+def with_classes(scene: Scene) -> Scene:
+    """The scene with rate classes, where it allows them."""
     if _obstacle(scene):
         return scene
-    change = scene.corrosion.rate_change
-    change = change if keep_steps else min(change, RATE_CHANGE)
-    settings = dataclasses.replace(scene.corrosion, classes=WANTED, rate_change=change)
+    settings = dataclasses.replace(scene.corrosion, classes=WANTED)
     return dataclasses.replace(scene, corrosion=settings)
 
 

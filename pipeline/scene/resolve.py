@@ -84,7 +84,6 @@ def resolve_scene(
     exponents = {float(fit.parameters.kernel_exponent) for fit in known}
     classes = corrosion.pop("classes", 0)
     corrosion["classes"] = 0 if classes == AUTO else classes
-    steps_given = "rate_change" in corrosion
     corrosion.setdefault("rate_change", preset.rate_change)
     corrosion.setdefault("kernel_exponent", exponents.pop() if len(exponents) == 1 else 0.0)
     geometry = geometry or ScrewGeometry()
@@ -109,7 +108,7 @@ def resolve_scene(
         measured_volume_loss=dict(measured_volume_loss or {}),
         ions=ions,
     )
-    return with_classes(scene, steps_given) if classes == AUTO else scene
+    return with_classes(scene) if classes == AUTO else scene
 
 
 def _holds(

@@ -238,9 +238,12 @@ def march_omissions(scene: Scene, solid: Solid) -> list[tuple[str, Omission]]:
 
 
 def _sampling_error(corrosion: CorrosionScene, times: list[float]) -> float | None:
-    """Error of V_L by the run's own sampling of the surface; None without rate classes."""
+    """Error of V_L by the run's own sampling of the surface, where that can be told.
+
+    None without rate classes, and under Faraday's law, whose march clean liquid does not reduce.
+    """
     later = [time for time in times if time > 0]
-    if corrosion.exposure is None or not later:
+    if corrosion.exposure is None or not later or not corrosion.dissolution.reduces:
         return None
     return sampling_error(corrosion, later)
 

@@ -24,7 +24,6 @@ from peri.omissions.names import LIQUID
 from peri.omissions.planning import plan_omissions
 from peri.omissions.sampling_error import sampling_error
 from peri.omissions.well_stirred import well_stirred
-from pipeline.scene.classes import RATE_CHANGE
 from pipeline.stages.corrosion import (
     corrosion_scene,
     exposure_of,
@@ -32,7 +31,7 @@ from pipeline.stages.corrosion import (
     liquid_domain,
     metal_of,
 )
-from pipeline.studies.corrosion import TIMES, Cases
+from pipeline.studies.corrosion import COMMON, TIMES, Cases
 
 POSITIONS = {2: 3, 3: 1, 4: 1}
 """Positions of the lattice by horizon over spacing: of a ball they move V_L by 0.01 %."""
@@ -92,8 +91,8 @@ def study_rate_classes(
                 found[ratio, classes] = [
                     _march(case, ratio, shift, classes, clean, kept) for shift in shifts
                 ]
+        limit = case.exact() if clean else _extrapolated(found, sorted(positions), 3)
         for classes in (0, 3):
-            limit = case.exact() if clean else _extrapolated(found, sorted(positions), 3)
             for ratio in positions:
                 row = _row(alloy, ratio, classes, found[ratio, classes], limit)
                 lattices.append(row)
@@ -136,9 +135,7 @@ def _march(case, ratio, shift, classes, clean, kept) -> _March:
     if clean:
         losses = well_stirred(corrosion, TIMES).volume_loss
     else:
-        losses = corrode(
-            corrosion, TIMES, TimeStepping("sdirk2", rate_change=RATE_CHANGE)
-        ).volume_loss
+        losses = corrode(corrosion, TIMES, COMMON).volume_loss
     march = time.process_time() - started
     own = sampling_error(corrosion, TIMES) if classes else None
     return _March(corrosion, losses, own, setup, march)
