@@ -220,6 +220,11 @@ BENCHMARKS: dict[str, Benchmark] = {
         bench_ions.nnpp,
         bench_ions.small_nnpp,
     ),
+    "nnpp-saline": Benchmark(
+        "ions of 1 M NaCl in the published domain, 26 days (10 minutes)",
+        bench_ions.saline,
+        bench_ions.small_saline,
+    ),
     "friendliness": Benchmark(
         "what a newcomer meets: times, memory, and other programs' answers (10 minutes)",
         bench_friendliness.friendliness,

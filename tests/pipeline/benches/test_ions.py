@@ -16,3 +16,13 @@ def test_the_small_benchmark_meets_what_does_not_depend_on_the_machine() -> None
     assert results["calcite after eight weeks"] > 0
     assert results["hydroxyapatite after eight weeks"] > 0
     assert results["three minerals and potential: median step of 3 h"] > 0
+
+
+@pytest.mark.slow
+def test_the_small_saline_benchmark_is_neutral_and_conservative() -> None:
+    results = {r.quantity: r.value for r in BENCHMARKS["nnpp-saline"].small()}
+    assert results["lowest concentration"] >= 0
+    assert results["net charge over ionic strength"] <= 1e-12
+    assert results["balance of the worst component"] <= 1e-10
+    assert 0 < results["volume loss"] < 0.1 and results["highest pH"] > 8
+    assert results["26 days in such steps, from those measured"] > 0
