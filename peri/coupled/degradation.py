@@ -1,9 +1,11 @@
 """Metal and liquid in one march: bi-material corrosion with the ions, pH and minerals around it.
 
-The metal's kinetics does not read the liquid's composition, so the metal is that of the bi-material
-problem, step by step and bit by bit; the liquid is at rest at every stage where that is bounded
-(it relaxes in minutes), else its content evolves, too: always in closed vessels.  Where the liquid
-is at rest and no mineral can form, nothing of it evolves and it is computed at the output times.
+Where the metal's kinetics does not read the liquid's composition, the metal is that of the
+bi-material problem, step by step and bit by bit; where it does (feedback.py), it reads the liquid
+as it was at the start of each step (first order in the step).  The liquid is at rest at every
+stage where that is bounded (it relaxes in minutes), else its content evolves, too: always in closed
+vessels.  Where the liquid is at rest, not read, and no mineral can form, nothing of it evolves and
+it is computed at the output times.
 
 A metal node that turns liquid still holds metal (less than C_sat).  That rest is no ion: it goes
 on dissolving as Mg2+ + 2 OH- + H2, with the time constant REST_TIME, and the node's pore is filled
@@ -22,6 +24,7 @@ from peri.corrosion.nodes.problem import COLUMNS, CorrosionProblem
 from peri.corrosion.scene import CorrosionScene
 from peri.coupled.bath import Bath, BathLiquid
 from peri.coupled.booking import element_error
+from peri.coupled.feedback import OF_THE_LIQUID, beside_metal, medium_beside
 from peri.coupled.surroundings import HYDROGEN_PER_METAL, Surroundings
 from peri.engine.march.checkpoints import fingerprint
 from peri.engine.march.problem import BoundsError, Fields, Stage, State
@@ -84,7 +87,9 @@ class Degradation(CorrosionProblem):
         storage: bool | None = None,
         bath: Bath | None = None,
     ) -> None:
-        super().__init__(scene, solver_tolerance)
+        super().__init__(scene, solver_tolerance, given=OF_THE_LIQUID)
+        self._reads = scene.needs & OF_THE_LIQUID
+        self.discrete.surface |= medium_beside(medium)
         self.medium, self.options = medium, options or TransportOptions()
         self._surroundings: Surroundings | None = None
         self._at_start: np.ndarray | None = None
@@ -99,7 +104,7 @@ class Degradation(CorrosionProblem):
                 f"bath: the scene's boundary is '{scene.boundary}', which nothing leaves through; "
                 "a bath needs 'refreshed'"
             )
-        evolves = self.stores or bath is not None
+        evolves = self.stores or bath is not None or bool(self._reads)
         self.follows_minerals = evolves or (self._any_forms() if minerals is None else minerals)
         names = [m.name for m in medium.chemistry.minerals]
         self.columns = {**COLUMNS, "hydrogen_amount": "mol"}
@@ -112,7 +117,7 @@ class Degradation(CorrosionProblem):
         if self.bath is not None:
             self.evolved = (*self.evolved, "bath")
             self.columns |= {"bath_ph": "1"}
-        if evolves:
+        if self.stores or bath is not None:
             self.columns |= {"element_error": "1"}
 
     def key(self) -> str:
@@ -299,6 +304,8 @@ class Degradation(CorrosionProblem):
         super().begin(state)
         if self.bath is not None and self.bath.bath.due(state.time):
             state.fields["bath"] = self.bath.fresh.copy()
+        if self._reads and state.time > 0:
+            self._tell_surface(state)
         self._at_start = state.fields.get("minerals")
 
     def bounded(self, fields: Fields) -> Fields:
@@ -356,6 +363,13 @@ class Degradation(CorrosionProblem):
         stage.fields |= {"minerals": self._put(held, grown), **self._write(liquid)}
         stage.iterations += liquid.iterations
         return stage
+
+    def _tell_surface(self, state: State) -> None:
+        """What the metal's kinetics reads of the liquid, as it was at the start of the step."""
+        around = self.surroundings
+        found = self.liquid_at(state)
+        amounts = self._at(state.fields["minerals"])
+        self.discrete.surface |= beside_metal(around, found, amounts)
 
     # --- the bath -------------------------------------------------------------------------
 

@@ -1,0 +1,98 @@
+"""Metal that reads its liquid: pH and layers slow it, nothing changes where nothing is read."""
+
+import numpy as np
+import pytest
+
+from peri.corrosion.kinetics import ConstantRate, VolumeLossLaw
+from peri.corrosion.liquid_factors import FreeCorrosion, LiquidFactors
+from peri.corrosion.run import corrode
+from peri.coupled.degradation import Degradation
+from peri.coupled.feedback import beside_metal
+from peri.engine.march.marching import TimeStepping, march
+from tests.peri.coupled.test_degradation import medium
+from tests.peri.coupled.test_vessels import BARE, DAY, crumb
+
+
+def marched(kinetics, name: str = "sbf", minerals=(), steps: int = 8, days: float = 4.0, flux=2e-6):
+    scene = crumb(flux, half=0.7e-3, kinetics=kinetics)
+    problem = Degradation(scene, medium(name, minerals), BARE)
+    stepping = TimeStepping("sdirk2", step=days * DAY / steps)
+    return problem, march(problem, [0.0, days * DAY], stepping)
+
+
+def test_what_a_node_sees_lies_between_medium_and_surface() -> None:
+    problem, done = marched(LiquidFactors(ConstantRate(), 0.2, 7.5))
+    around, state = problem.surroundings, done.state
+    found = problem.liquid_at(state)
+    seen = beside_metal(around, found, problem._at(state.fields["minerals"]))
+    metal = around.discrete.box_metal & (around.discrete.box_neighbour_liquid > 0)
+    ph = around.liquid.ph(found)
+    assert (seen["ph"][metal] > float(problem.medium.ph[0])).all()
+    assert (seen["ph"][metal] < ph.max() + 1e-12).all()
+    assert (seen["magnesium"][metal] > 0).all() and (seen["layer"] == 0).all()
+    assert seen["chloride"][metal] == pytest.approx(109.9, rel=0.02)
+
+
+def test_a_rising_ph_slows_the_metal_by_its_order() -> None:
+    bare = marched(ConstantRate())[1].history["volume_loss"][-1]
+    ph = float(medium("sbf").ph[0])
+    none = marched(LiquidFactors(ConstantRate(), 0.0, ph))[1]
+    assert none.history["volume_loss"][-1] == pytest.approx(bare, rel=1e-9)
+    losses = [
+        marched(LiquidFactors(ConstantRate(), order, ph))[1].history["volume_loss"][-1]
+        for order in (0.5, 2.0)
+    ]
+    assert bare > losses[0] > losses[1] > 0.5 * bare
+    # pH is higher by about 0.1 beside the metal: 0.5 and 2 powers of ten of that.
+    assert 1 - losses[0] / bare == pytest.approx(0.25 * (1 - losses[1] / bare), rel=0.35)
+
+
+def test_reading_the_liquid_is_first_order_in_the_step() -> None:
+    law = LiquidFactors(ConstantRate(), 2.0, float(medium("sbf").ph[0]))
+    loss = [marched(law, steps=n)[1].history["volume_loss"][-1] for n in (2, 4, 8, 32)]
+    errors = np.abs(np.array(loss[:-1]) / loss[-1] - 1)
+    assert (errors[:-1] / errors[1:] > 1.6).all() and errors[-1] < 0.03
+
+
+@pytest.mark.slow
+def test_a_layer_of_brucite_slows_what_makes_it() -> None:
+    law = LiquidFactors(ConstantRate(), layer_thickness=1e-6)
+    problem, done = marched(law, "nacl", ("brucite",), flux=2e-5)
+    bare = marched(ConstantRate(), "nacl", ("brucite",), flux=2e-5)[1]
+    assert done.history["brucite_amount"].max() > 0
+    assert 0 < done.history["volume_loss"][-1] < 0.98 * bare.history["volume_loss"][-1]
+    assert done.outputs[-1]["balance"] < 1e-9
+
+
+def test_free_corrosion_marches_with_its_liquid_and_resumes_to_the_last_bit(tmp_path) -> None:
+    law = FreeCorrosion(1e-3, 1e-2, -2.0, -0.9, ph_order=0.1, ph_reference=7.5724)
+    _, whole = marched(law)
+
+    class Killed(Exception):
+        pass
+
+    def kill(fraction: float, text: str) -> None:
+        if fraction > 0.6:
+            raise Killed
+
+    scene, steps = crumb(2e-6, half=0.7e-3, kinetics=law), TimeStepping("sdirk2", step=0.5 * DAY)
+    times, path = [0.0, 4 * DAY], tmp_path / "march.h5"
+    with pytest.raises(Killed):
+        march(
+            Degradation(scene, medium("sbf"), BARE), times, steps, checkpoint=path,
+            checkpoint_every=0.0, progress=kill,
+        )  # fmt: skip
+    again = march(
+        Degradation(scene, medium("sbf"), BARE), times, steps, checkpoint=path, resume=True
+    )
+    assert np.array_equal(again.history["volume_loss"], whole.history["volume_loss"])
+    other = marched(ConstantRate())[1]
+    assert whole.history["volume_loss"][-1] < other.history["volume_loss"][-1]
+
+
+def test_a_law_that_reads_the_liquid_needs_one() -> None:
+    scene = crumb(2e-6, kinetics=LiquidFactors(VolumeLossLaw(0.2), 1.0, 7.5))
+    with pytest.raises(
+        ValueError, match="needs ph, which a march of corrosion alone does not have"
+    ):
+        corrode(scene, [DAY], TimeStepping())
