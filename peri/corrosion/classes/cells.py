@@ -25,7 +25,7 @@ class Cells(Volumes):
 
     def stage(
         self, old: Array, old_classes: Array, tau: float, guess: Array, theta: Array | None,
-        volume_loss: float,
+        volume_loss: float, owed: Array | None = None,
     ) -> CellStage:  # fmt: skip
         """Solve Y = old + tau F(Y), kinetics and saturation included; see StageSolver.solve."""
-        return self._solver.solve(old, old_classes, tau, guess, theta, volume_loss)
+        return self._solver.solve(old, old_classes, tau, guess, theta, volume_loss, owed)

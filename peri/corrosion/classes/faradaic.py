@@ -66,24 +66,26 @@ class FaradaicBonds(Bonds):
             in_cell = columns.total(pull)
             if not in_cell.any():
                 break  # all the metal that sees liquid is used up
-            factor = np.divide(over, in_cell, out=np.zeros_like(over), where=in_cell > 0)
-            taken = np.minimum(pull * factor[columns.row], room)
+            whole = in_cell[columns.row]
+            share = np.divide(pull, whole, out=np.zeros_like(pull), where=whole > 0)
+            taken = np.minimum(share * over[columns.row], room)
             given = given + np.divide(taken, volume, out=np.zeros_like(taken), where=volume > 0)
             over = over - columns.total(taken)
             stuck = np.where(in_cell > 0, 0.0, over)
             if stuck.any():
-                over += self._around(stuck, in_cell) - stuck
+                over = np.maximum(over + self._around(stuck, in_cell) - stuck, 0.0)
         return np.minimum(given, old)
 
     def _around(self, amount: Array, pull: Array) -> Array:
         """Amounts of the columns, handed to those around in proportion to their pull."""
         cells = self.cells
         shape, place = cells.sum.padded_shape, cells.place
+        pull = pull / pull.max()
         field = np.zeros(shape)
         field.ravel()[place] = pull
         reached = cells.near(field).ravel()[place]
         field.ravel()[place] = np.divide(
-            amount, reached, out=np.zeros_like(amount), where=reached > 0
+            amount, reached, out=np.zeros_like(amount), where=reached > _NOTHING
         )
         return pull * cells.near(field).ravel()[place]
 

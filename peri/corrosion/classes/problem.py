@@ -12,6 +12,7 @@ from peri.corrosion.nodes.problem import COLUMNS
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.march.checkpoints import fingerprint
 from peri.engine.march.problem import Attempt, Fields, FirstOrder, Stage, State
+from peri.engine.march.stepping import GAMMA
 
 _LATE = 1.0
 """Weight of the flux that is handed to others in a step, as a change of the rates: a front that
@@ -133,7 +134,7 @@ class CellProblem(FirstOrder):
         """See Cells.stage."""
         solved = self.cells.stage(
             old["concentration"], old["classes"], tau, guess.fields["concentration"],
-            guess.fields.get("theta"), guess.numbers["volume_loss"],
+            guess.fields.get("theta"), guess.numbers["volume_loss"], old.get("owed"),
         )  # fmt: skip
         fields = {
             "concentration": solved.liquid, "classes": solved.classes, "theta": solved.theta,
@@ -145,9 +146,24 @@ class CellProblem(FirstOrder):
         )  # fmt: skip
 
     def continues(self, first: Stage, right: Fields) -> bool:
-        """Whether no class is empty, where a class gives what it should until then."""
-        by_class = CLASS_BONDS[self.scene.dissolution.name].by_class
-        return by_class or bool(right["classes"].min() >= 0)
+        """Whether a second-order step may go on to its last stage.
+
+        Not where a class is empty that gives what it should until then.  Where it gives in
+        proportion, a right side below zero (lambda g step > 2.41) is put where the class ends as
+        e^(-lambda g step) of what it was; `owed` has what that adds, mol/m^3.
+        """
+        short = right["classes"] < 0
+        if not CLASS_BONDS[self.scene.dissolution.name].by_class:
+            return not short.any()
+        if short.any():
+            after, ratio = first.fields["classes"][short], (1.0 - GAMMA) / GAMMA
+            before = (ratio * after - right["classes"][short]) / (ratio - 1.0)
+            inverse = np.divide(before, after, out=np.full_like(after, np.inf), where=after > 0)
+            decay = np.minimum((inverse - 1.0) / GAMMA, 700.0)
+            classes = right["classes"].copy()
+            classes[short] = before * np.exp(-decay) * (1.0 + GAMMA * decay)
+            right.update(classes=classes, owed=classes - right["classes"])
+        return True
 
     def pace(self, state: State) -> float:
         """The fastest class's relative loss, 1/s."""

@@ -52,7 +52,7 @@ class StageSolver:
 
     def solve(
         self, old: Array, old_classes: Array, tau: float, guess: Array, theta: Array | None,
-        volume_loss: float,
+        volume_loss: float, owed: Array | None = None,
     ) -> CellStage:  # fmt: skip
         """Solve Y = old + tau F(Y), kinetics and saturation included; see BiMaterial."""
         saturated = self.cells.scene.saturation_concentration
@@ -61,7 +61,7 @@ class StageSolver:
         reached = self.cells.free & (self.cells.pull > 0) & bounded
         if theta is None:
             theta = np.ones(y.shape)
-        old, old_classes, owed = self._repaid(old, old_classes, theta)
+        old, returned = self._repaid(old, owed, theta)
         active = (theta < 1.0) & reached
         law = CLASS_BONDS[self.cells.scene.dissolution.name]
         iterations, stall = 0, saturation.Stall()
@@ -107,28 +107,24 @@ class StageSolver:
         ageing = bonds.ageing(classes)
         self._close(y, classes, old, old_classes, tau * release, active)
         loss = self.cells.volume_loss(classes)
-        release -= owed / tau
+        release -= returned / tau
         return CellStage(y, classes, ageing, theta, loss, release, iterations, rounds)
 
-    def _repaid(self, old: Array, classes: Array, theta: Array) -> tuple[Array, Array, float]:
-        """A right side without negative classes, and what held cells give back for it, mol.
+    def _repaid(self, old: Array, owed: Array | None, theta: Array) -> tuple[Array, float]:
+        """The liquid's right side without what the classes got back, and held cells' share, mol.
 
-        The right side of a second-order step's last stage is negative where a class lost more in
-        the first one than it has (lambda g step > 2.41).  What is missing comes back from where it
-        went, along the class's own bonds, so that the amounts add up.
+        owed : (n,) mol/m^3 that the right side of the classes was raised by.  It comes back from
+        where it went, along the bonds of the class, so that the amounts add up.
         """
         cells = self.cells
-        short = classes < 0
-        if not short.any():
-            return old, classes, 0.0
-        missing = np.where(short, -classes * cells.volume, 0.0)
+        if owed is None:
+            return old, 0.0
         weight = (theta * cells.free_share + cells.held_share) * cells.nu
         seen = cells.gather(cells.near(weight))
-        back = np.divide(missing, seen, out=np.zeros_like(seen), where=seen > 0)
+        back = np.divide(cells.volume * owed, seen, out=np.zeros_like(seen), where=seen > 0)
         back = cells.near(cells.scatter(back)) * cells.nu
         old = old - np.where(cells.free, theta * back, 0.0)
-        owed = float((cells.held_share * back).sum()) * cells.scene.lattice.cell_volume
-        return old, np.maximum(classes, 0.0), owed
+        return old, float((cells.held_share * back).sum()) * cells.scene.lattice.cell_volume
 
     def _flow(self, y: Array) -> Array:
         """D_liq sum_k w_jk c_k (C_k - C_j) per relative volume; held cells at zero."""
