@@ -113,7 +113,7 @@ BELOW = {
         "compare": {"scene", "record", "report"},
         "measured": {"scene", "geometry", "stages", "export"},
         "completion": set(),
-        "scenes": {"scene", "record"},
+        "scenes": {"scene", "geometry", "record", "stages"},
         "life_cycle": {"scene", "geometry", "record", "stages", "report"},
         "campaigns": {"scene", "geometry", "record", "stages", "calibration", "life_cycle"},
         "benches": {

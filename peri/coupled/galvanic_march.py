@@ -8,7 +8,8 @@ With the metals as they are, the liquid's potential and the current of every pat
 from the nodes behind it, along the bonds that carry the current (Zhao et al. 2021, Eqs 16 to 20,
 with a sign; the sum over the actual family instead of its flat-front value).  A node that is empty
 is liquid.  So the metal loses what the current carries, to round-off, and a flat front travels at
-i / (z F C_solid).
+i / (z F C_solid).  Self-corrosion adds a current density of its own to each patch, which leaves
+the potential alone.
 
 The surface that the potential sees lies deeper than the exposed nodes by what the patch has lost
 already, sum_i (1 - C_i / C_solid) dV / A, so that the potential of a flat front changes steadily
@@ -22,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
+from peri.corrosion.kinetics import Exposed
 from peri.coupled.galvanic_scene import GalvanicScene
 from peri.coupled.patch_queues import drain, spill
 from peri.engine.constants import FARADAY
@@ -170,16 +172,29 @@ class GalvanicProblem(Problem):
         metal = self._label > 0
         return {"concentration": self.solid.copy(), "lead": self.still_led(metal)}
 
-    def rates(self, state: State) -> tuple[np.ndarray, np.ndarray]:
-        """What each patch dissolves, mol/s, and how fast its surface recedes, m/s."""
+    def _of_metals(self, state: State) -> list[float]:
+        """Self-corrosion of each metal at its present volume loss, A/m^2."""
+        found = []
+        for metal in self.scene.metals:
+            now = metal.self_corrosion
+            if now:
+                whole = metal.solid_concentration * float(metal.nodes.sum())
+                left = float(state.fields["concentration"][metal.nodes].sum())
+                now *= float(metal.kinetics.rate(Exposed(1.0 - left / whole)))
+            found.append(now)
+        return found
+
+    def rates(self, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What each patch dissolves, mol/s, by the couple and by itself; its recession, m/s."""
         problem = self._potential_problem(state.fields)
         if problem is None:
-            return np.zeros(0), np.zeros(0)
-        patches, density = problem.patches, state.fields["density"]
-        goes = np.where(self._dissolves[patches.electrode], np.maximum(density, 0.0), 0.0)
-        flux = goes / self._charge[patches.electrode]
+            return np.zeros(0), np.zeros(0), np.zeros(0)
+        of, area = problem.patches.electrode, problem.patches.area
+        goes = np.where(self._dissolves[of], np.maximum(state.fields["density"], 0.0), 0.0)
+        alone = np.array(self._of_metals(state))[of]
         solids = np.array([m.solid_concentration or np.inf for m in self.scene.metals])
-        return flux * patches.area, flux / solids[patches.electrode]
+        charge = self._charge[of]
+        return goes * area / charge, alone * area / charge, (goes + alone) / charge / solids[of]
 
     def trend(self, course: Course, step: float) -> np.ndarray:
         """Mean current of each metal in the coming step over that at its beginning.
@@ -200,17 +215,20 @@ class GalvanicProblem(Problem):
 
         Returns the linear iterations, too.
         """
-        rate, _ = self.rates(state)
+        coupled, alone, _ = self.rates(state)
         concentration = state.fields["concentration"]
         numbers, moved = dict(state.numbers), concentration
-        if rate.any():
+        if (coupled + alone).any():
             problem = self._potential_problem(state.fields)
             assert problem is not None
             of = problem.patches.electrode
-            moved, delivered = self._drawn(problem, concentration, step * rate * trend[of])
+            coupled = step * coupled * trend[of]
+            wanted = coupled + step * alone
+            moved, delivered = self._drawn(problem, concentration, wanted)
             numbers["moles"] += float(delivered.sum())
             charge = np.where(self._dissolves, self._charge, 0.0)[of]
-            numbers["charge"] += float((delivered * charge).sum())
+            part = coupled / np.where(wanted > 0, wanted, 1.0)  # of what was delivered
+            numbers["charge"] += float((delivered * part * charge).sum())
         gone = self.metal(concentration) & ~self.metal(moved)
         numbers["dissolved"] = float(gone.sum())
         fields = {**state.fields, "concentration": moved}
@@ -300,7 +318,7 @@ class Renewal:
         return self._step(problem, state, end)
 
     def _step(self, problem: GalvanicProblem, state: State, end: float) -> float:
-        speed = float(problem.rates(state)[1].max(initial=0.0))
+        speed = float(problem.rates(state)[2].max(initial=0.0))
         spacing = min(problem.scene.lattice.spacing)
         step = min(self.longest, self.travel * spacing / speed if speed > 0 else np.inf)
         return step if np.isfinite(step) else max(end, 1e-300)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from peri.corrosion.kinetics import ConstantRate, Kinetics
 from peri.engine.influence import Stencil, diffusion_stencil
 from peri.engine.lattice import Lattice
 from peri.transport.potential.polarization import Polarization
@@ -28,11 +29,17 @@ class Metal:
         z of its ion; a metal that dissolves needs one.
     potential : float
         Of the metal, V: metals of equal potential are joined by a wire, others by a source.
+    self_corrosion : float
+        A/m^2, >= 0: what dissolves of a fresh surface without any couple, driven by hydrogen that
+        the same surface sets free; it enters no liquid as a current.
+    kinetics : Kinetics
+        How self-corrosion changes with the metal's volume loss (its lost share).
 
     Raises
     ------
     ValueError
-        For numbers out of range, or a metal that dissolves without a charge number.
+        For numbers out of range, a metal that dissolves without a charge number, self-corrosion
+        of a metal that does not dissolve, or by a law of something else than the volume loss.
     """
 
     name: str
@@ -41,8 +48,25 @@ class Metal:
     solid_concentration: float | None = None
     charge_number: float | None = None
     potential: float = 0.0
+    self_corrosion: float = 0.0
+    kinetics: Kinetics = ConstantRate()
 
     def __post_init__(self) -> None:
+        if not (math.isfinite(self.self_corrosion) and self.self_corrosion >= 0):
+            raise ValueError(
+                f"self_corrosion: {self.self_corrosion} A/m^2 of '{self.name}'; it must be finite "
+                "and not negative"
+            )
+        if self.self_corrosion and self.solid_concentration is None:
+            raise ValueError(
+                f"self_corrosion: {self.self_corrosion} A/m^2 of '{self.name}', which does not "
+                "dissolve; give its solid_concentration"
+            )
+        if not self.kinetics.is_global:
+            raise ValueError(
+                f"kinetics: {type(self.kinetics).__name__} of '{self.name}'; self-corrosion goes "
+                "by the volume loss alone"
+            )
         if self.solid_concentration is not None:
             if self.charge_number is None:
                 raise ValueError(

@@ -27,15 +27,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage, sparse
 from scipy.optimize import brentq
-from scipy.spatial import cKDTree
 
 from peri.engine.influence import Stencil
 from peri.engine.lattice import Lattice
-from peri.engine.operators import Convolution, NonlocalSum, Operator, signed_bonds
+from peri.engine.operators import Convolution, NonlocalSum, Operator
 from peri.engine.solvers import ConvergenceError, LinearSystem
+from peri.transport.potential.patches import Patches, surface_patches
 from peri.transport.potential.polarization import Polarization, surface_potential
+from peri.transport.potential.pools import label_pools
 from peri.transport.potential.walls import WithWalls
 
 log = logging.getLogger(__name__)
@@ -55,32 +55,15 @@ class Electrode:
 
 
 @dataclass(frozen=True)
-class Patches:
-    """The surface of the electrodes, patch by patch.
-
-    electrode (n,): which one.  node (n, d): index of the metal node.  normal (n, d): from metal to
-    liquid.  area (n,): m^2 (m in 2D, 1 in 1D).  distance (n,): z of the head of this file, m.
-    shares (n, padded nodes): a, rows sum to 1.  drawn (n, nodes of the lattice): where behind the
-    patch its current comes from, rows sum to 1; a node stands behind one patch, the nearest.
-    """
-
-    electrode: np.ndarray
-    node: np.ndarray
-    normal: np.ndarray
-    area: np.ndarray
-    distance: np.ndarray
-    shares: sparse.csr_matrix
-    drawn: sparse.csr_matrix
-
-
-@dataclass(frozen=True)
 class PotentialField:
     """What `solve_potential` finds.
 
     potential : liquid's phi of the lattice's shape, V; NaN off the liquid and where no electrode
         and no held node reaches.
     patches : Patches.  density (n,): i of each patch, A/m^2.  surface (n,): E of each patch, V.
-    imbalance : sum of all currents over the sum of their sizes, where nothing is held.
+    imbalance : sum of currents over the sum of their sizes, in the pool (that is not held) where
+        it is largest; over 1e-4 of slope times potential where that is more, because currents that
+        are small beside it are known to its round-off only.
     newton, iterations : Newton steps, and linear iterations in all.
     """
 
@@ -96,139 +79,6 @@ class PotentialField:
         """Current that an electrode gives to the liquid, A (A/m in 2D, A/m^2 in 1D)."""
         of = self.patches.electrode == electrode
         return float((self.density * self.patches.area)[of].sum())
-
-
-def surface_patches(
-    bond_sum: NonlocalSum, liquid: np.ndarray, electrodes: Sequence[np.ndarray]
-) -> Patches:
-    """The patches of metal nodes (bool arrays of the lattice's shape) against liquid nodes.
-
-    Raises ValueError if a node belongs to two of liquid and electrodes, or no metal touches liquid.
-    """
-    taken = np.asarray(liquid, bool).astype(int)
-    for metal in electrodes:
-        taken += np.asarray(metal, bool)
-    if (taken > 1).any():
-        raise ValueError(f"electrodes: {int((taken > 1).sum())} nodes are named twice")
-    d = len(bond_sum.lattice_shape)
-    spacing = np.array(bond_sum.spacing[3 - d :])
-    volume = float(np.prod(spacing))
-    offsets, weights = signed_bonds(bond_sum)
-    bonds = offsets[:, 3 - d :] * spacing
-    wet = bond_sum.pad(liquid).ravel()
-    _, rows, columns = bond_sum.padded_shape
-    shifts = offsets @ np.array([rows * columns, columns, 1])
-    all_metal = taken.astype(bool) & ~np.asarray(liquid, bool)
-    exposed_faces, raw_area, normals = _surface(bond_sum, np.asarray(liquid, bool), all_metal)
-    sees = bond_sum.crop(bond_sum(bond_sum.pad(liquid))) > 0
-    parts = []
-    for number, metal in enumerate(electrodes):
-        exposed = np.argwhere(np.asarray(metal, bool) & (exposed_faces > 0))
-        if not len(exposed):
-            continue
-        behind = np.argwhere(np.asarray(metal, bool) & sees)
-        nearest = cKDTree(exposed * spacing).query(behind * spacing)[1]
-        flat = _padded_index(bond_sum, behind)
-        on = wet[flat[:, None] + shifts] > 0
-        node, bond = np.nonzero(on)
-        normal = normals[tuple(exposed.T)]
-        along = (bonds[bond] * normal[nearest[node]]).sum(axis=1)
-        along = np.where(
-            normal.any(axis=1)[nearest[node]],
-            np.maximum(along, 0.0),
-            np.linalg.norm(bonds, axis=1)[bond],
-        )
-        carried = volume * weights[bond] * along
-        carrying = np.bincount(nearest[node], carried, len(exposed))
-        reach = np.bincount(nearest[node], carried * along, len(exposed))
-        entries = sparse.coo_matrix(
-            (carried, (nearest[node], flat[node] + shifts[bond])), (len(exposed), wet.size)
-        ).tocsr()
-        keep = carrying > 0
-        scale = sparse.diags(1.0 / carrying[keep])
-        # Faradaic bonds carry their current in proportion to 1/|xi| (Zhao et al. 2021, Eq. 16).
-        here = weights[bond] * np.linalg.norm(bonds, axis=1)[bond] * (along > 0)
-        place = np.ravel_multi_index(tuple(behind.T), liquid.shape)
-        drawn = sparse.coo_matrix(
-            (np.bincount(node, here, len(behind)), (nearest, place)), (len(exposed), liquid.size)
-        ).tocsr()[keep]
-        drawn.eliminate_zeros()
-        whole = np.asarray(drawn.sum(axis=1)).ravel()
-        # Area of a plane of that normal per exposed face: 1 / sum_a |n_a| / (area of a face).
-        facing = (np.abs(normal) * spacing / volume).sum(axis=1)
-        raw = raw_area[tuple(exposed.T)]
-        count = exposed_faces[tuple(exposed.T)]
-        area = np.where(facing > 0, count / np.where(facing > 0, facing, 1.0), raw)
-        parts.append(
-            (
-                np.full(int(keep.sum()), number),
-                exposed[keep],
-                normal[keep],
-                area[keep],
-                0.5 * reach[keep] / carrying[keep],
-                scale @ entries[keep],
-                sparse.diags(1.0 / whole) @ drawn,
-            )
-        )
-    if not parts:
-        raise ValueError("electrodes: none of them touches the liquid")
-    electrode, node_of, directions, areas, distances, shares, behind_it = zip(*parts, strict=True)
-    return Patches(
-        np.concatenate(electrode),
-        np.concatenate(node_of),
-        np.concatenate(directions),
-        np.concatenate(areas),
-        np.concatenate(distances),
-        sparse.csr_matrix(sparse.vstack(shares)),
-        sparse.csr_matrix(sparse.vstack(behind_it)),
-    )
-
-
-def _surface(
-    bond_sum: NonlocalSum, liquid: np.ndarray, metal: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Faces to liquid of each metal node: their number, their raw area, and the smoothed normal.
-
-    The normal is the mean direction of the faces of all metal nodes within the horizon, without
-    those that look away from a node's own: a plane has them in proportion to its normal.  It is
-    zero for nodes that look to both sides of all axes.
-    """
-    d, stencil = metal.ndim, bond_sum.stencil
-    volume = float(np.prod(stencil.spacing))
-    ball = np.where(stencil.octant > 0, 1.0, 0.0)
-    ball.flat[0] = 1.0
-    near = NonlocalSum(Stencil(ball, stencil.spacing), metal.shape)
-    count, raw = np.zeros(metal.shape, int), np.zeros(metal.shape)
-    normals = np.zeros((*metal.shape, d))
-    for a in range(d):
-        low = (slice(None),) * a + (slice(0, -1),)
-        high = (slice(None),) * a + (slice(1, None),)
-        ahead, back = np.zeros(metal.shape, bool), np.zeros(metal.shape, bool)
-        ahead[low] = metal[low] & liquid[high]
-        back[high] = metal[high] & liquid[low]
-        count += ahead.astype(int) + back
-        raw += (ahead.astype(int) + back) * volume / stencil.spacing[a]
-        up, down = (np.rint(near.crop(near(near.pad(side)))) for side in (ahead, back))
-        normals[..., a] = np.where(ahead & ~back, up, np.where(back & ~ahead, -down, up - down))
-    # The faces of an axis lie closer where the others' spacing is short: per area, not per face.
-    normals /= np.array(stencil.spacing)
-    normals[(count == 0)] = 0.0
-    length = np.linalg.norm(normals, axis=-1, keepdims=True)
-    return count, raw, normals / np.where(length > 0, length, 1.0)
-
-
-def _padded_index(bond_sum: NonlocalSum, nodes: np.ndarray) -> np.ndarray:
-    """Flat indices in a padded array of nodes (n, d)."""
-    d = nodes.shape[1]
-    place = np.zeros((len(nodes), 3), np.int64)
-    place[:, 3 - d :] = nodes
-    return np.ravel_multi_index(tuple((place + np.array(bond_sum.reach)).T), bond_sum.padded_shape)
-
-
-def _reached(liquid: np.ndarray, touched: np.ndarray) -> np.ndarray:
-    """The connected parts of the liquid (across faces) that hold a touched node."""
-    number, _ = ndimage.label(liquid)
-    return np.isin(number, np.unique(number[touched & liquid])) & liquid
 
 
 class PotentialProblem:
@@ -279,16 +129,17 @@ class PotentialProblem:
         self.sum = NonlocalSum(stencil, lattice.shape)
         pad = self.sum.pad
         self.patches = surface_patches(self.sum, liquid, [e.metal for e in self.electrodes])
-        seen = np.asarray(self.patches.shares.sum(axis=0)).reshape(self.sum.padded_shape)
-        self.liquid = _reached(liquid, (self.sum.crop(seen) > 0) | fixed)
+        pool, of_patch = label_pools(self.sum, np.asarray(liquid, bool), self.patches.shares)
+        alive, self._floating = self._working_pools(pool, of_patch, fixed)
+        kept = alive[of_patch]
+        self.patches, self._pool_of_patch = self.patches.only(kept), of_patch[kept]
+        self.liquid = np.asarray(liquid, bool) & alive[pool]
         dropped = int((liquid & ~self.liquid).sum())
         if dropped:
-            log.info(
-                "%d liquid nodes are cut off from all electrodes: they have no potential", dropped
-            )
+            log.info("%d liquid nodes have no anode or no cathode: no potential", dropped)
+        self._pool = pad(np.where(self.liquid, pool, 0)).astype(int)
         self.unknown = pad(self.liquid & ~fixed)
         self.held = pad(np.where(fixed, -np.nan_to_num(held if held is not None else 0.0), 0.0))
-        self.any_held = bool(fixed.any())
         if operator is None:
             root = pad(np.sqrt(np.where(self.liquid, kappa, 0.0)))
             operator = Convolution(self.sum, self.unknown * root, root, symmetric=True)
@@ -320,42 +171,88 @@ class PotentialProblem:
         out.ravel()[self._columns] = np.where(self._free, self._shares.T @ values, 0.0)
         return out
 
-    def _currents(self, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """E, i and di/du_s of every patch."""
+    def _working_pools(
+        self, pool: np.ndarray, of_patch: np.ndarray, fixed: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Which pools (from 1) carry currents, and which of these are not held; bool.
+
+        A pool whose currents have one sign at every potential carries none, and one that nothing
+        touches has no potential.
+
+        Raises ValueError where no pool is left.
+        """
+        count = int(pool.max(initial=0)) + 1
+        held, touched = np.zeros(count, bool), np.zeros(count, bool)
+        held[np.unique(pool[fixed])] = True
+        touched[of_patch] = True
+        nets = []
+        for shift in (-_WIDEST, 0.0, _WIDEST):
+            density = np.array(
+                [float(e.law.current(np.array(e.potential + shift))) for e in self.electrodes]
+            )[self.patches.electrode]
+            nets.append(np.bincount(of_patch, self.patches.area * density, count))
+        balanced = (nets[0] < 0) & (nets[2] > 0) | (nets[1] == 0)
+        alive = held | (touched & balanced)
+        alive[0] = False
+        if not alive.any():
+            raise ValueError(
+                "electrodes: their currents have one sign at every potential; a current "
+                "needs a sink (a cathode, or a held potential)"
+            )
+        return alive, alive & ~held
+
+    def _currents(
+        self, seen: np.ndarray, part: np.ndarray | slice = slice(None)
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """E, i and di/du_s of every patch, or of a part of them that sees `seen`."""
         surface, density, slope = (np.zeros_like(seen) for _ in range(3))
+        electrode_of, voltage = self.patches.electrode[part], self._voltage[part]
+        resistance = self._resistance[part]
         for number, electrode in enumerate(self.electrodes):
-            of = self.patches.electrode == number
+            of = electrode_of == number
             if of.any():
                 surface[of], density[of], slope[of] = surface_potential(
-                    electrode.law, (self._voltage + seen)[of], self._resistance[of]
+                    electrode.law, (voltage + seen)[of], resistance[of]
                 )
         return surface, density, slope
 
-    def _net(self, seen: np.ndarray, shift: float) -> float:
-        return float((self.patches.area * self._currents(seen + shift)[1]).sum())
+    def _balancing_shifts(self, seen: np.ndarray) -> np.ndarray:
+        """By pool (from 1): the change of u after which its patches' currents add up to nothing."""
+        shifts = np.zeros(len(self._floating))
+        for pool in np.flatnonzero(self._floating):
+            part = np.flatnonzero(self._pool_of_patch == pool)
+            area, here = self.patches.area[part], seen[part]
 
-    def _balancing_shift(self, seen: np.ndarray) -> float:
-        """The uniform change of u after which the patches' currents add up to nothing.
+            def net(shift: float, part=part, area=area, here=here) -> float:
+                return float((area * self._currents(here + shift, part)[1]).sum())
 
-        Raises ValueError where no potential does that.
-        """
-        if self._net(seen, 0.0) == 0.0:
-            return 0.0
-        reach = 1e-6
-        while True:
-            low, high = self._net(seen, -reach), self._net(seen, reach)
-            if low < 0.0 < high:
-                root, _ = brentq(
-                    lambda c: self._net(seen, c), -reach, reach,
-                    xtol=1e-17, rtol=1e-15, maxiter=300, full_output=True, disp=False,
-                )  # fmt: skip
-                return float(root)
-            reach *= 4.0
-            if reach > _WIDEST:
-                raise ValueError(
-                    "electrodes: their currents have one sign at every potential; a current "
-                    "needs a sink (a cathode, or a held potential)"
-                )
+            reach = 1e-6
+            if net(0.0) == 0.0:
+                continue
+            while not net(-reach) < 0.0 < net(reach):
+                reach *= 4.0
+                if reach > 16 * _WIDEST:
+                    raise ConvergenceError("potential: no level balances the currents of a pool")
+            shifts[pool] = brentq(
+                net,
+                -reach,
+                reach,
+                xtol=1e-17,
+                rtol=1e-15,
+                maxiter=300,
+                full_output=True,
+                disp=False,
+            )[0]
+        return shifts
+
+    def _imbalance(self, surface: np.ndarray, density: np.ndarray, slope: np.ndarray) -> float:
+        """The largest of the pools that are not held; see PotentialField."""
+        count, of, area = len(self._floating), self._pool_of_patch, self.patches.area
+        total = np.bincount(of, area * density, count)
+        size = np.bincount(of, area * np.abs(density), count)
+        known = np.bincount(of, area * slope * np.abs(surface), count)
+        share = (total / np.maximum(np.maximum(size, 1e-4 * known), 1e-300))[self._floating]
+        return float(share[np.abs(share).argmax()]) if share.size else 0.0
 
     def solve(self, guess: np.ndarray | None = None, tolerance: float = 1e-9) -> PotentialField:
         """The potential for the electrodes' laws.
@@ -377,8 +274,7 @@ class PotentialProblem:
         u = self.held.copy()
         if guess is not None:
             u += self.unknown * self.sum.pad(-np.nan_to_num(guess))
-        if not self.any_held:
-            u += self.unknown * self._balancing_shift(self._see(u))
+        u += self.unknown * self._balancing_shifts(self._see(u))[self._pool]
         total = 0
         for steps in range(_NEWTON_STEPS + 1):
             seen = self._see(u)
@@ -405,13 +301,10 @@ class PotentialProblem:
             )
             total += count
             u += self._search(u, step, residual) * step
-        imbalance = 0.0
-        if not self.any_held:
-            shift = self._balancing_shift(seen)
-            u += shift * self.unknown
-            surface, density, _ = self._currents(seen + shift)
-            currents = self.patches.area * density
-            imbalance = float(currents.sum() / max(np.abs(currents).sum(), 1e-300))
+        shifts = self._balancing_shifts(seen)
+        u += self.unknown * shifts[self._pool]
+        surface, density, slope = self._currents(seen + shifts[self._pool_of_patch])
+        imbalance = self._imbalance(surface, density, slope)
         phi = np.where(self.liquid, -self.sum.crop(u), np.nan)
         return PotentialField(phi, self.patches, density, surface, imbalance, steps, total)
 
@@ -434,6 +327,8 @@ class PotentialProblem:
             return float((conductance * seen**2).sum())
 
         sink = np.maximum(self._row_sums, 0.0) + self._spread(conductance)
+        # Electrodes without slope leave a level open that the coarsest grid could not solve for.
+        sink += 1e-14 * self.unknown * self._weight / self.volume
         system = LinearSystem(self.operator, sink=sink, extra=patches, extra_diagonal=diagonal)
         step, right = np.zeros(self.sum.padded_shape), residual / self.volume
         wanted = reduction * float(np.linalg.norm(right))

@@ -47,6 +47,19 @@ class LinearPolarization:
         return np.full(np.shape(potential), 1.0 / self.resistance)
 
 
+@dataclass(frozen=True)
+class Insulated:
+    """No current at any potential."""
+
+    def current(self, potential: np.ndarray) -> np.ndarray:
+        """0."""
+        return np.zeros(np.shape(potential))
+
+    def slope(self, potential: np.ndarray) -> np.ndarray:
+        """0."""
+        return np.zeros(np.shape(potential))
+
+
 def surface_potential(
     law: Polarization, seen: np.ndarray, resistance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

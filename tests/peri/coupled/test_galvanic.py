@@ -4,14 +4,15 @@ import numpy as np
 import pytest
 from scipy.integrate import trapezoid
 
+from peri.corrosion.kinetics import VolumeLossLaw
 from peri.corrosion.polarization import PiecewiseTafelCurve, TafelCurve
 from peri.coupled.galvanic import GalvanicScene, Metal, Renewal, corrode, potential
 from peri.engine.constants import FARADAY
 from peri.engine.lattice import Lattice
 from peri.engine.march.checkpoints import CheckpointError
 from peri.reference.fronts import flat_front_profile
-from peri.transport.potential.electrostatics import surface_patches
-from peri.transport.potential.polarization import LinearPolarization
+from peri.transport.potential.patches import surface_patches
+from peri.transport.potential.polarization import Insulated, LinearPolarization
 
 DAY = 86400.0
 AE44 = PiecewiseTafelCurve(
@@ -56,12 +57,13 @@ def test_a_slab_dissolves_by_the_closed_form():
     exact = np.sqrt(2 * 2.5 * times * 0.5 / (2 * FARADAY * 143e3) + 0.1**2) - 0.1
     np.testing.assert_allclose(1e3 * exact, [0.390615, 1.167321, 3.840050], atol=1e-6)
     off = []
-    for travel in (0.1, 0.05, 0.025):
+    for travel in (0.2, 0.1, 0.05):
         result = corrode(slab(), times, Renewal(travel))
         assert result.history["current_anode"][0] == pytest.approx(12.5, rel=1e-9)
         off.append(result.depths() / exact - 1)
-    # measured 3.0e-5, 9.9e-6, 2.7e-6: the lattice adds nothing
-    assert (np.abs(off[-1]) < 1e-4).all() and abs(off[-1][2]) < 1e-5
+    # measured 1.2e-4, 3.9e-5, 1.1e-5 (3.0e-5, 9.9e-6, 2.7e-6 with half the travel): the lattice
+    # adds nothing
+    assert (np.abs(off[-1]) < 1.5e-4).all() and abs(off[-1][2]) < 2e-5
     orders = np.log2(np.abs(off[0] / off[1])), np.log2(np.abs(off[1] / off[2]))
     np.testing.assert_allclose(orders, 2.0, atol=0.05)
 
@@ -73,7 +75,7 @@ def test_a_slab_dissolves_by_the_closed_form():
         # of a finite-volume march; those of steel march on faces that a staircase overcounts
         # (1.457, 1.244, 0.767, 0.623), so only the far ones are compared.
         (AA6063, 0.05141, 0.0514, [0.159, 0.125, 0.0865, 0.0734]),
-        (STEEL, 0.4120, 0.45, [np.nan, np.nan, 0.767, 0.623]),
+        pytest.param(STEEL, 0.4120, 0.45, [np.nan, np.nan, 0.767, 0.623], marks=pytest.mark.slow),
     ],
     ids=["AA6063", "steel"],
 )
@@ -120,7 +122,7 @@ def test_flat_fronts_draw_by_the_published_profile():
 
 
 def test_a_march_goes_on_from_its_checkpoint_to_the_last_bit(tmp_path):
-    scene, renewal, times = couple(AA6063, 0.5e-3), Renewal(0.2), [DAY, 3 * DAY, 9 * DAY]
+    scene, renewal, times = couple(AA6063, 1e-3), Renewal(0.2), [DAY, 9 * DAY, 20 * DAY]
     whole = corrode(scene, times, renewal)
     file = tmp_path / "march.h5"
 
@@ -139,7 +141,7 @@ def test_a_march_goes_on_from_its_checkpoint_to_the_last_bit(tmp_path):
     for name, values in whole.history.items():
         np.testing.assert_array_equal(rest.history[name], values, err_msg=name)
     with pytest.raises(CheckpointError):
-        corrode(couple(STEEL, 0.5e-3), times, renewal, checkpoint=file, resume=True)
+        corrode(couple(STEEL, 1e-3), times, renewal, checkpoint=file, resume=True)
 
 
 def test_metal_that_is_used_up_ends_the_current():
@@ -207,3 +209,37 @@ def test_refusals():
         corrode(GalvanicScene(lattice, 1e-3, (scene.metals[1],), 2.5), [DAY])
     with pytest.raises(ValueError, match="times"):
         corrode(scene, [])
+
+
+def test_self_corrosion_adds_to_the_couple_and_obeys_its_law():
+    """A flat front alone: V_L = l log10(1 + t/tau); with a couple both add up."""
+    gap = slab(spacing=1e-3)
+    x = np.arange(gap.lattice.shape[0])
+    law = VolumeLossLaw(0.05)
+    alone = Metal(
+        "anode", gap.metals[0].nodes, Insulated(), 143e3, 2.0, self_corrosion=2.0, kinetics=law
+    )
+    rest = Metal("cathode", gap.metals[1].nodes, Insulated())
+    scene = GalvanicScene(gap.lattice, gap.horizon, (alone, rest), 2.5)
+    result = corrode(scene, [10 * DAY], Renewal(0.02, longest=0.25 * DAY))
+    thickness = alone.nodes.sum() * 1e-3
+    tau = 0.05 * np.log(10) ** -1 / (2.0 / (2 * FARADAY * 143e3) / thickness)
+    exact = 0.05 * np.log10(1 + 10 * DAY / tau)
+    loss = result.depths()[-1] / thickness
+    assert loss == pytest.approx(exact, rel=2e-3) and 1e-4 < exact < 0.05
+    assert result.history["charge"][-1] == 0.0 == result.history["current_anode"][-1]
+    assert np.abs(result.history["faraday_error"]).max() < 1e-14
+
+    both = Metal(
+        "anode", alone.nodes, LinearPolarization(0.1, 1e-12), 143e3, 2.0, self_corrosion=2.0
+    )
+    coupled = corrode(GalvanicScene(gap.lattice, gap.horizon, (both, gap.metals[1]), 2.5), [DAY])
+    amount = coupled.history["metal_amount"]
+    lost = 2 * FARADAY * (amount[0] - amount[-1])
+    charge = coupled.history["charge"][-1]
+    assert charge == pytest.approx(12.5 * DAY, rel=1e-3)
+    assert lost == pytest.approx(charge + 2.0 * DAY, rel=1e-12)
+    with pytest.raises(ValueError, match="which does not dissolve"):
+        Metal("cathode", x > 5, Insulated(), self_corrosion=1.0)
+    with pytest.raises(ValueError, match="self_corrosion: -1.0"):
+        Metal("anode", x > 5, Insulated(), 1e5, 2.0, self_corrosion=-1.0)

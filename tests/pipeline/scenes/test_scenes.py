@@ -31,8 +31,8 @@ def slow(*values):
     [
         # finite volumes: total at the start; Eq. 35 after a year; the film equation's own answer
         slow("galvanic-ae44-steel", "0.5mm", "current at the start", 0.4120, 4e-3),
-        ("galvanic-ae44-aa6063", "1mm", "current at the start", 0.05141, 0.02),
-        slow("galvanic-slab", "4mm", "deepest at the end", 13.388974e-3, 1e-3),
+        slow("galvanic-ae44-aa6063", "0.5mm", "current at the start", 0.05141, 4e-3),
+        ("galvanic-slab", "5mm", "deepest at the end", 13.388974e-3, 1e-3),
         slow("crevice-625", "25um", "area lost", 20.412e-9, 0.02),
         # exact moving boundary 1002.349 s; measured 1.0 % late, of which the threshold is half
         slow("pit-pencil", "10um", "onset of the salt layer", 1002.349, 0.02),

@@ -10,13 +10,14 @@ from tests.pipeline.command_line import refused
 
 def test_seeds_ignite_where_they_should():
     """Right constants: between 2 and 3 mm; as on the printed lattice: between 0.3 and 0.5 mm."""
-    assert crevice_row(3e-3, False, 2.5, nodes=127)[0] == "ignites"
-    assert crevice_row(1e-3, False, 2.5, nodes=127)[0] == "dies out"
-    row = crevice_row(0.5e-3, True, 2.5, nodes=127)
+    assert crevice_row(3e-3, False, 2.5, nodes=64)[0] == "ignites"
+    assert crevice_row(1e-3, False, 2.5, nodes=64)[0] == "dies out"
+    row = crevice_row(0.5e-3, True, 2.5, nodes=64)
     assert row[0] == "ignites"
     assert float(row[4]) == pytest.approx(1.1, abs=0.2)  # the published site near the mouth, mm
 
 
+@pytest.mark.slow
 def test_a_couple_row_has_currents_and_depths():
     row = couple_row(ae44_scene("AA6063", 1e-3, 2e-3), 0.5)
     assert float(row[0]) == pytest.approx(0.0514, rel=0.02)
