@@ -18,7 +18,8 @@ def set_sizes(
     """
     for name in ("FromPoints", "FromCurvature"):
         gmsh.option.setNumber(f"Mesh.MeshSize{name}", 0)
-    gmsh.option.setNumber("Mesh.MeshSizeExtendFromBoundary", int(surface))
+    inward = -3 if surface else 0  # into the volume only: seams of patches are ragged and short
+    gmsh.option.setNumber("Mesh.MeshSizeExtendFromBoundary", inward)
     fields = []
     if size_fine < size:
         fields.append(_on_surface(size, size_fine) if surface else _at_edges(size, size_fine))

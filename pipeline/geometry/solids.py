@@ -18,6 +18,7 @@ import numpy as np
 
 from pipeline.geometry.mesh import TetrahedralMesh, cell_volumes, mesh_quality
 from pipeline.geometry.mesh_sizes import set_sizes
+from pipeline.geometry.patches import load_patches
 from pipeline.geometry.surface import (
     Solid,
     bounding_box,
@@ -56,7 +57,6 @@ occ = gmsh.model.occ
 
 STEP, BREP, STL = (".step", ".stp"), (".brep", ".brp"), (".stl",)
 STL_EDGE_ANGLE = math.radians(25.0)  # between triangles, from where on an edge of an STL is sharp
-ROUND = math.pi  # no edge is: the sharp ones of an image are steps from voxel to voxel
 
 # (2D algorithm, 3D algorithm, factor on both sizes): frontal 6, Delaunay 5; HXT 10, Delaunay 1
 MESH_ATTEMPTS = ((6, 10, 1.0), (6, 1, 1.0), (5, 10, 0.95), (6, 10, 0.9), (5, 1, 0.85))
@@ -364,13 +364,16 @@ def _load_solid(solid: Solid) -> None:
     if solid.cad:
         _load_cad(solid.cad)
         return
-    mesh = gmsh.model.mesh
-    patch = gmsh.model.addDiscreteEntity(2)
-    tags = np.arange(1, len(solid.points) + 1)
-    mesh.addNodes(2, patch, tags, (solid.points * MM).ravel())
-    mesh.addElementsByType(patch, 2, [], solid.triangles.ravel() + 1)
-    mesh.classifySurfaces(STL_EDGE_ANGLE if solid.voxels is None else ROUND, True, True, math.pi)
-    mesh.createGeometry()
+    if solid.voxels is not None:
+        load_patches(solid.points * MM, solid.triangles)
+    else:
+        mesh = gmsh.model.mesh
+        patch = gmsh.model.addDiscreteEntity(2)
+        tags = np.arange(1, len(solid.points) + 1)
+        mesh.addNodes(2, patch, tags, (solid.points * MM).ravel())
+        mesh.addElementsByType(patch, 2, [], solid.triangles.ravel() + 1)
+        mesh.classifySurfaces(STL_EDGE_ANGLE, True, True, math.pi)
+        mesh.createGeometry()
     loop = gmsh.model.geo.addSurfaceLoop([tag for _, tag in gmsh.model.getEntities(2)])
     gmsh.model.geo.addVolume([loop])
     gmsh.model.geo.synchronize()
