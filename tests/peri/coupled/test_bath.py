@@ -65,6 +65,7 @@ def test_a_bath_open_to_a_gas_keeps_its_activity() -> None:
     assert 0 < rise[0] < 0.1 * rise[1]
 
 
+@pytest.mark.slow
 def test_exchanges_are_hit_and_bring_fresh_medium(tmp_path) -> None:
     bath = Bath(1e-6, exchange=0.7 * DAY)
     stepping = Exchanges(RungeKutta(STEPS), bath.exchange)
@@ -97,6 +98,7 @@ def test_exchanges_are_hit_and_bring_fresh_medium(tmp_path) -> None:
     assert np.array_equal(again.history["bath_ph"], ph)
 
 
+@pytest.mark.slow
 def test_a_small_bath_of_saline_fills_with_brucite() -> None:
     problem = problem_in("nacl", Bath(1e-8), ("brucite",))
     done = march(problem, [2 * DAY], STEPS)

@@ -20,6 +20,7 @@ def marched(kinetics, name: str = "sbf", minerals=(), steps: int = 8, days: floa
     return problem, march(problem, [0.0, days * DAY], stepping)
 
 
+@pytest.mark.slow
 def test_what_a_node_sees_lies_between_medium_and_surface() -> None:
     problem, done = marched(LiquidFactors(ConstantRate(), 0.2, 7.5))
     around, state = problem.surroundings, done.state
@@ -47,6 +48,7 @@ def test_a_rising_ph_slows_the_metal_by_its_order() -> None:
     assert 1 - losses[0] / bare == pytest.approx(0.25 * (1 - losses[1] / bare), rel=0.35)
 
 
+@pytest.mark.slow
 def test_reading_the_liquid_is_first_order_in_the_step() -> None:
     law = LiquidFactors(ConstantRate(), 2.0, float(medium("sbf").ph[0]))
     loss = [marched(law, steps=n)[1].history["volume_loss"][-1] for n in (2, 4, 8, 32)]
@@ -64,6 +66,7 @@ def test_a_layer_of_brucite_slows_what_makes_it() -> None:
     assert done.outputs[-1]["balance"] < 1e-9
 
 
+@pytest.mark.slow
 def test_free_corrosion_marches_with_its_liquid_and_resumes_to_the_last_bit(tmp_path) -> None:
     law = FreeCorrosion(1e-3, 1e-2, -2.0, -0.9, ph_order=0.1, ph_reference=7.5724)
     _, whole = marched(law)

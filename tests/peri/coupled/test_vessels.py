@@ -64,6 +64,7 @@ def test_a_closed_vessel_ends_saturated_with_every_element_booked(closure: str) 
     assert dissolved < 0.22
 
 
+@pytest.mark.slow
 def test_an_open_liquid_that_stores_comes_to_rest() -> None:
     scene, liquid = crumb(1e-6, half=0.7e-3, kinetics=ConstantRate()), medium("sbf")
     at_rest = march(
@@ -92,7 +93,8 @@ def test_pockets_take_part_in_a_liquid_that_stores() -> None:
     assert done.history["element_error"].max() < 1e-9
 
 
-@pytest.mark.parametrize("storage", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("storage", [False, True])
+@pytest.mark.slow
 def test_the_rest_of_a_node_dissolves_and_its_pore_is_filled(storage: bool) -> None:
     scene = crumb(1e-4, half=0.7e-3, saturation_concentration=20000.0, kinetics=VolumeLossLaw(2.0))
     problem = Degradation(scene, medium("nacl", ("brucite",)), BARE, storage=storage)

@@ -65,6 +65,7 @@ def test_baths_that_cannot_be_are_refused(more: list[str], says: str) -> None:
         typed(*more)
 
 
+@pytest.mark.slow
 def test_the_stage_gives_the_ph_of_the_bath() -> None:
     ions = resolve_ions(
         minerals=[], closure="none", bath_volume=1e-6, exchange_every=0.4 * WEEK, open_to=("CO2",)
