@@ -33,6 +33,7 @@ def ion_section(run: RunResults) -> dict[str, object]:
         "strength": f"{first['strength']:.3f}",
         "reactions": first["reactions"],
         "bath": first.get("bath", ""),
+        "feedback": first.get("feedback", ""),
         "closure": first["closure"],
         "flux_form": first["flux_form"],
         "assumed": first["assumed"],

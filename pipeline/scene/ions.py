@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import perilife_data
+from pipeline.scene.feedback import FeedbackSettings
 
 MODELS = ("bi-material", "nnpp")
 DEFAULT_MEDIUM = "simulated-body-fluid"
@@ -24,7 +25,8 @@ class IonSettings:
     plain mapping; the rate constant of a mineral in equilibrium is None).
     bath_volume : m^3 of the bath around the liquid, None: so much that it does not change;
     exchange_every : s between exchanges of the bath for fresh medium, None: never;
-    open_to : dissolved gases whose activity in the bath stays that of the fresh medium.
+    open_to : dissolved gases whose activity in the bath stays that of the fresh medium;
+    feedback : what the liquid does to the metal's rate, None: nothing.
     assumed : names of the set's and the medium's quantities that are assumed or fitted.
     """
 
@@ -39,6 +41,7 @@ class IonSettings:
     bath_volume: float | None = None
     exchange_every: float | None = None
     open_to: tuple[str, ...] = ()
+    feedback: FeedbackSettings | None = None
     assumed: tuple[str, ...] = ()
     source: dict[str, str] = field(default_factory=dict)
 
@@ -84,14 +87,15 @@ def resolve_ions(
     balance: str | None = None,
     bath_volume: float | None = None,
     exchange_every: float | None = None,
-    **options: str | tuple[str, ...],
+    **options: str | tuple[str, ...] | FeedbackSettings,
 ) -> IonSettings:
     """Read a medium and its reaction set.
 
     medium : name of a shipped medium, or path of a TOML file; minerals : names, None for the
     default ones that the set holds; balance : a species whose amount is what neutrality wants
     (the medium's charge is otherwise made up by H); bath_volume, exchange_every : m^3 and s
-    (default: those of the medium's file); options : activity, flux_form, closure, open_to.
+    (default: those of the medium's file); options : activity, flux_form, closure, open_to,
+    feedback.
 
     Raises ValueError or FileNotFoundError with one sentence for whatever cannot be computed.
     """

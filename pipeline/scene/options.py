@@ -2,11 +2,13 @@
 
 import argparse
 import dataclasses
+import math
 from pathlib import Path
 
 from peri.engine.omission import DEFAULT_TOLERANCE
 from pipeline.scene.classes import read_classes
 from pipeline.scene.coating import read_coating
+from pipeline.scene.feedback import read_feedback
 from pipeline.scene.holding import ALL as HOLDS
 from pipeline.scene.image import ImageFile, add_image_options, content_of, image_from_options
 from pipeline.scene.ions import (
@@ -160,6 +162,11 @@ def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -
     )
     ions.add_argument("--exchange-every", metavar="T", help="time between fresh baths, 2d (never)")
     ions.add_argument("--open-to", nargs="+", metavar="GAS", help="of the bath: CO2 (closed)")
+    ions.add_argument(
+        "--feedback",
+        metavar="F",
+        help="of the liquid on the metal: ph_order=0.3,layer_thickness=1e-5 (none; assumed)",
+    )
     ions.add_argument("--balance", metavar="ION", help="its amount as neutrality wants it")
     tensile = parser.add_argument_group("tensile test, where the preset is not wanted")
     tensile.add_argument(
@@ -286,6 +293,16 @@ def scene_from_options(options: argparse.Namespace) -> Scene:
         from pipeline.scene.resolve import rate_law
 
         rate_law(scene, scene.alloys[0].name)  # refuses numbers out of range
+    if scene.ions is not None and scene.ions.feedback is not None:
+        from peri.corrosion.liquid_factors import LiquidFactors
+        from pipeline.scene.resolve import rate_law
+
+        asked = scene.ions.feedback
+        LiquidFactors(  # refuses a layer that the law contains already
+            rate_law(scene, scene.alloys[0].name),
+            layer_thickness=asked.layer_thickness or math.inf,
+            layer_twice=asked.layer_twice,
+        )
     return scene
 
 
@@ -349,7 +366,7 @@ def _domain(options: argparse.Namespace) -> DomainSettings | None:
 
 def _ions(options: argparse.Namespace) -> IonSettings | None:
     names = ("medium", "minerals", "activity", "flux_form", "closure", "balance")
-    names = (*names, "bath_volume", "exchange_every", "open_to")
+    names = (*names, "bath_volume", "exchange_every", "open_to", "feedback")
     given = {n: getattr(options, n) for n in names if getattr(options, n) is not None}
     if options.model == "bi-material":
         if given:
@@ -360,6 +377,8 @@ def _ions(options: argparse.Namespace) -> IonSettings | None:
         given["bath_volume"] = parse_volume(options.bath_volume, "bath volume")
     if options.exchange_every is not None:
         given["exchange_every"] = parse_time(options.exchange_every, "exchange every").seconds
+    if options.feedback is not None:
+        given["feedback"] = read_feedback(options.feedback)
     if options.open_to is not None:
         given["open_to"] = tuple(options.open_to)
     return resolve_ions(**given)

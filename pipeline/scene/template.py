@@ -37,6 +37,7 @@ EXAMPLES: dict[str, object] = {
     "bath_volume": "50mL",
     "exchange_every": "2d",
     "open_to": ["CO2"],
+    "feedback": "ph_order=0.3",
     "hardening": ["mg-5gd-soft"],
     "pulls": 2,
     "samples": 200,

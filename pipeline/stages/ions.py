@@ -1,5 +1,6 @@
 """The ions of the corrosion stage: medium, joined march, files and numbers (`--model nnpp`)."""
 
+import dataclasses
 import logging
 import math
 import os
@@ -11,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
+from peri.corrosion.kinetics import Kinetics
+from peri.corrosion.liquid_factors import LiquidFactors
 from peri.corrosion.nodes.problem import CorrosionProblem
 from peri.corrosion.run import HISTORY, CorrosionResult
 from peri.corrosion.scene import CorrosionScene
@@ -28,6 +31,7 @@ from peri.transport.chemistry.activity import check_strength
 from peri.transport.chemistry.speciation import Solution, speciate
 from peri.transport.chemistry.species import Chemistry
 from peri.transport.nernst_planck import TransportOptions
+from pipeline.scene.feedback import FeedbackSettings
 from pipeline.scene.ions import IonSettings
 
 logger = logging.getLogger(__name__)
@@ -95,8 +99,25 @@ def bath_of(ions: IonSettings) -> Bath | None:
 
 
 def problem_of(corrosion: CorrosionScene, ions: IonSettings) -> Degradation:
-    """Metal and liquid as one problem."""
-    return Degradation(corrosion, medium_of(ions), options_of(ions), bath=bath_of(ions))
+    """Metal and liquid as one problem; raises ValueError for a feedback that the law excludes."""
+    medium = medium_of(ions)
+    if ions.feedback is not None:
+        law = with_feedback(corrosion.kinetics, ions.feedback, medium)
+        corrosion = dataclasses.replace(corrosion, kinetics=law)
+    return Degradation(corrosion, medium, options_of(ions), bath=bath_of(ions))
+
+
+def with_feedback(base: Kinetics, feedback: FeedbackSettings, medium: Solution) -> LiquidFactors:
+    """The law times what the liquid does to it; references left out are the medium's."""
+    chemistry = medium.chemistry
+    given = {n: v for n, v in dataclasses.asdict(feedback).items() if v is not None}
+    given.setdefault("ph_reference", float(medium.ph[0]))
+    if "Cl" in chemistry.components:
+        chloride = float(medium.totals[chemistry.components.index("Cl"), 0])
+        given.setdefault("chloride_reference", chloride)
+    elif feedback.chloride_order:
+        raise ValueError("feedback: chloride_order is given, but the medium holds no chloride")
+    return LiquidFactors(base, **given)
 
 
 def options_of(ions: IonSettings) -> TransportOptions:
@@ -332,6 +353,7 @@ def ion_numbers(
         "followed": problem.follows_minerals,
         "stores": problem.stores,
         "bath": _bath_in_words(ions),
+        "feedback": ions.feedback.in_words() if ions.feedback else "",
         "assumed": list(ions.assumed),
         "rows": rows,
     }

@@ -8,11 +8,12 @@ import pytest
 
 import perilife_data
 from peri.engine.march.marching import TimeStepping
+from pipeline.scene.feedback import FeedbackSettings
 from pipeline.scene.ions import resolve_ions
 from pipeline.scene.options import add_scene_options, scene_from_options
 from pipeline.scene.resolve import resolve_scene
 from pipeline.scene.scene import scene_from_json
-from pipeline.stages.ions import corrode_with_ions, ion_numbers, medium_of
+from pipeline.stages.ions import corrode_with_ions, ion_numbers, medium_of, problem_of
 from tests.pipeline.stages.test_ions import WEEK, pin
 
 TYPED = ["--alloy", "Mg-5Gd", "--immersion", "0w", "1w", "--model", "nnpp"]
@@ -55,6 +56,10 @@ def test_a_bath_is_typed_and_survives_its_file() -> None:
     [
         (["--exchange-every", "2d"], "exchange every goes with a bath of finite volume"),
         (["--open-to", "CO2"], "open to goes with a bath of finite volume"),
+        (["--feedback", "ph=1"], "feedback is 'ph=1'; write NAME=NUMBER"),
+        (["--feedback", "ph_order=-1"], "feedback: ph_order is -1; it must be finite"),
+        (["--feedback", "ph_reference=7"], "one of ph_order, chloride_order and layer_thickness"),
+        (["--feedback", "layer_thickness=0"], "feedback: layer_thickness is 0; it must be above 0"),
         (["--bath-volume", "50"], "bath volume '50' is not understood; give a number and a unit"),
         (["--bath-volume", "0mL"], "bath volume '0mL' is 0; it must be above 0"),
         (["--bath-volume", "1L", "--open-to", "O2"], "open to is 'O2'; it must be a dissolved gas"),
@@ -121,3 +126,29 @@ def test_another_buffer_takes_two_files_and_no_python(tmp_path) -> None:
     with pytest.raises(FileNotFoundError):
         (tmp_path / "tris.toml").unlink()
         resolve_ions(str(tmp_path / "tris-saline.toml"))
+
+
+def test_a_feedback_is_typed_and_a_layer_is_not_counted_twice() -> None:
+    with pytest.raises(ValueError, match="the law of the volume loss already contains the layer"):
+        typed("--feedback", "ph_order=0.5,layer_thickness=1e-5")
+    ions = typed("--feedback", "layer_thickness=1e-5", "--kinetics", "constant").ions
+    assert ions.feedback.in_words() == "minerals, half the rate at 10 um"
+    asked = typed("--feedback", "ph_order=0.5,layer_thickness=1e-5,layer_twice=yes")
+    assert scene_from_json(json.loads(json.dumps(asked.to_json()))) == asked
+    law = problem_of(pin(1e-6), asked.ions).scene.kinetics
+    assert law.ph_reference == pytest.approx(7.5724, abs=1e-3)
+    assert law.chloride_reference == pytest.approx(109.9)
+
+
+@pytest.mark.slow
+def test_a_feedback_slows_the_metal_of_a_run() -> None:
+    feedback = FeedbackSettings(ph_order=2.0)
+    losses = []
+    for more in ({}, {"feedback": feedback}):
+        ions = resolve_ions(minerals=[], closure="none", **more)
+        stepping = TimeStepping("sdirk2", step=0.2 * WEEK)
+        result, *_ = corrode_with_ions(
+            pin(1e-6), ions, [0.0, WEEK], stepping, tolerance=1e-3, refused=()
+        )
+        losses.append(result.volume_loss[-1])
+    assert 0.5 * losses[0] < losses[1] < 0.98 * losses[0]
