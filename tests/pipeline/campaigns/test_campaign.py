@@ -26,6 +26,7 @@ from pipeline.campaigns.task import do_task
 from pipeline.cli import main
 from pipeline.record.machine import child_environment
 from pipeline.record.run_folder import RunFolder
+from pipeline.stages.strength import CHECKPOINT_FILE
 from tests.pipeline.processes import survivors
 
 PIN = """
@@ -164,6 +165,21 @@ def test_a_task_whose_child_dies_is_begun_three_times_and_the_next_has_a_child(m
     assert "test ended with signal SIGKILL" in found[2] and "last words" in found[2]
     children = [re.search("'process': ([0-9]+)", said)[1] for said in found[:2] + found[3:]]
     assert children[0] == children[1] != children[2] and not task._workers
+
+
+def test_a_test_that_was_killed_begins_anew(tmp_path, monkeypatch):
+    """Gone on with from its checkpoint it would end with other last digits."""
+    wave = stages(read_campaign(write(tmp_path)), tmp_path / "store")[2][0]
+    checkpoint = Path(wave.key) / CHECKPOINT_FILE
+    checkpoint.parent.mkdir(parents=True)
+    checkpoint.touch()
+    there = []
+    monkeypatch.setattr(
+        task.LifeCycle, "map", lambda self, *test: there.append(checkpoint.exists())
+    )
+    monkeypatch.setattr(task.LifeCycle, "pull", lambda self, tests: None)
+    task.perform(wave.to_json())
+    assert there == [False]
 
 
 def test_children_end_when_a_campaign_is_interrupted(monkeypatch):
