@@ -53,11 +53,13 @@ class Kinetics:
     needs : names of the quantities of `Exposed` that the rate depends on.  With nothing but the
     volume loss the rate is one number, and clean liquid reduces to one equation (peri.omissions).
     slows : whether the rate never rises with the volume loss, other things equal; bounds of what
-    a march may leave out rest on it.
+    a march may leave out rest on it.  on_classes : whether it may be asked for the rate classes of
+    cells, several of them in one place, as for nodes.
     """
 
     needs: ClassVar[frozenset[str]] = _GLOBAL
     slows: ClassVar[bool] = False
+    on_classes: ClassVar[bool] = True
 
     def rate(self, at: Exposed) -> float | np.ndarray:
         """The rate over that at zero volume loss, >= 0; of the shape of what the law needs."""

@@ -162,10 +162,14 @@ class CorrosionScene:
                 raise ValueError(
                     f"{name}: {given!r} with rate classes; allowed: {', '.join(allowed)}"
                 )
-        if not self.one_rate:
+        if self.solids != (Solid(self.solid_concentration),):
+            raise ValueError("solids: several, or one that differs; rate classes have one")
+        unknown = self.needs - {"volume_loss", "concentration", "age"}
+        if unknown or not self.kinetics.on_classes:
+            because = f"needs {', '.join(sorted(unknown))}" if unknown else "acts on nodes"
             raise ValueError(
-                f"kinetics: {type(self.kinetics).__name__} gives one rate per node; rate classes "
-                "need one of the volume loss alone"
+                f"kinetics: {type(self.kinetics).__name__} {because}; rate classes have "
+                "volume_loss, concentration and age, for laws that act on them"
             )
         if np.ndim(self.horizon) != 0 or self.exposure.metal.fraction.shape != self.lattice.shape:
             raise ValueError(

@@ -85,8 +85,9 @@ def least_loss(
     """
     first_rate = scene.kinetics.rate(Exposed(0.0))
     if isinstance(problem, Cells):
-        rates, volumes = problem.rate(0.0) * problem.bond_sum, problem.volume
-        strongest = problem.rate(0.0) * float(problem.pull.max(initial=0.0))
+        rate = problem.interface_rate(0.0)[0]  # one for all, or the scene is refused above
+        rates, volumes = rate * problem.bond_sum, problem.volume
+        strongest = rate * float(problem.pull.max(initial=0.0))
     else:
         problem = problem or BiMaterial(scene)
         rate = problem.base_diffusivity * first_rate

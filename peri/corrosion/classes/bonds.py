@@ -24,7 +24,8 @@ class Bonds:
     theta : padded factors.  old : (n,) right side of the classes, mol/m^3.  tau : s.
     by_class : whether a class's loss changes smoothly in time; else steps are judged by all
     metal's.  ahead : steps by which the volumes that the rates of the next step are for are ahead.
-    rate : k = D_int g, m^2/s.  diagonal : the liquid's own share of its outflow into the metal.
+    liquid : (n,) that the kinetics sees.  rate : k = D_int g, m^2/s; mu has the classes' own share
+    of it.  diagonal : the liquid's own share of its outflow into the metal.
     storage_share : mean share of a class's response that is storage, for the preconditioner.
     """
 
@@ -33,10 +34,27 @@ class Bonds:
     storage_share = 1.0
     diagonal: Array | float = 0.0
 
-    def __init__(self, cells: Volumes, theta: Array, old: Array, tau: float) -> None:
+    def __init__(
+        self, cells: Volumes, theta: Array, old: Array, tau: float, liquid: Array | None = None
+    ) -> None:
         self.cells, self.theta, self.old, self.tau = cells, theta, old, tau
+        self.liquid = liquid
         weight = (theta * cells.free_share + cells.held_share) * cells.nu
-        self.seen = cells.mu * cells.gather(cells.near(weight))
+        self._open = cells.gather(cells.near(weight))
+
+    def set_rate(self, volume_loss: float) -> None:
+        """Take the kinetics at a volume loss."""
+        self.rate, local = self.cells.interface_rate(volume_loss, self.liquid)
+        self.own = np.ndim(local) > 0
+        self.mu = self.cells.mu * local
+        self.seen = self.mu * self._open
+
+    def pull(self) -> Array:
+        """nu_j sum_ip v_ip mu_ip w_ij with the classes' own rates."""
+        cells = self.cells
+        if not self.own:
+            return cells.pull
+        return cells.nu * cells.near(cells.scatter(cells.volume * self.mu))
 
     def ageing(self, classes: Array) -> Array:
         """How fast the classes' life goes (columns.py), <= 0, 1/s."""
@@ -48,7 +66,7 @@ class Bonds:
         self.draw(liquid)
 
         def excess(loss: float) -> float:
-            self.rate = cells.rate(loss)
+            self.set_rate(loss)
             return cells.volume_loss(self.value()) - loss
 
         low, high = 0.0, 1.0
@@ -60,7 +78,7 @@ class Bonds:
             loss = float(brentq(excess, low, high, xtol=1e-13, rtol=1e-13))
         elif excess(high) > 0:
             loss = high
-        self.rate = cells.rate(loss)
+        self.set_rate(loss)
         self.settled()
         return loss
 
@@ -107,19 +125,21 @@ class ProportionalBonds(Bonds):
         Not by ln C itself, which an implicit step of a fast class falls short of.
         """
         scene = self.cells.scene
-        drawn = np.divide(self.inflow, classes, out=np.zeros_like(classes), where=classes > 0)
+        drawn = np.divide(
+            self.mu * self.drawn, classes, out=np.zeros_like(classes), where=classes > 0
+        )
         whole = math.log(scene.solid_concentration / scene.saturation_concentration)
         return -self.rate / whole * np.maximum(self.seen - drawn, 0.0)
 
     def draw(self, liquid: Array) -> None:
-        """mu_ip sum_j w_ij c_j nu_j theta_j C_j."""
+        """sum_j w_ij c_j nu_j theta_j C_j."""
         cells = self.cells
         drawn = cells.near(self.theta * cells.free_share * cells.nu * liquid)
-        self.inflow = cells.mu * cells.gather(drawn)
+        self.drawn = cells.gather(drawn)
 
     def value(self) -> Array:
         """C_ip = (old/tau + k mu a) / (1/tau + k mu b)."""
-        return (self.old / self.tau + self.rate * self.inflow) / (
+        return (self.old / self.tau + self.rate * self.mu * self.drawn) / (
             1.0 / self.tau + self.rate * self.seen
         )
 
@@ -129,30 +149,31 @@ class ProportionalBonds(Bonds):
         decay = 1.0 / self.tau + self.rate * self.seen
         self.response = np.divide(1.0, decay, out=np.zeros_like(decay), where=decay > 0)
         self.storage_share = float(np.mean(self.response)) / self.tau
-        self.diagonal = self.rate * self.theta * cells.free_share * cells.pull
+        self.pulled = self.pull()
+        self.diagonal = self.rate * self.theta * cells.free_share * self.pulled
 
     def arriving(self, classes: Array) -> Array:
         """See Bonds.arriving."""
         cells = self.cells
-        flux = cells.near(cells.scatter(cells.volume * cells.mu * classes))
+        flux = cells.near(cells.scatter(cells.volume * self.mu * classes))
         return self.rate * cells.nu * flux
 
     def offered(self, classes: Array, liquid: Array | float) -> Array:
         """See Bonds.offered."""
         cells = self.cells
-        return cells.free_share * (self.arriving(classes) - self.rate * cells.pull * liquid)
+        return cells.free_share * (self.arriving(classes) - self.rate * self.pulled * liquid)
 
     def through(self, liquid: Array) -> Array:
         """See Bonds.through."""
         cells = self.cells
         drawn = cells.near(self.theta * cells.free_share * cells.nu * liquid)
-        inflow = cells.mu * cells.gather(drawn)
-        values = cells.volume * cells.mu * self.response * self.rate * inflow
+        inflow = self.mu * cells.gather(drawn)
+        values = cells.volume * self.mu * self.response * self.rate * inflow
         out = cells.near(cells.scatter(values))
         return self.rate * self.theta * cells.free_share * cells.nu * out
 
     def correct(self, classes: Array, change: Array, saturated: float) -> Array:
         """See Bonds.correct."""
         cells = self.cells
-        seen = cells.mu * cells.gather(cells.near(change * cells.free_share * cells.nu))
+        seen = self.mu * cells.gather(cells.near(change * cells.free_share * cells.nu))
         return classes - self.tau * self.rate * seen * (classes - saturated)

@@ -34,7 +34,7 @@ class FaradaicBonds(Bonds):
         """See Bonds.settle; a constant rate needs no search."""
         if self.cells.scene.kinetics.needs:
             return super().settle(liquid, start)
-        self.rate = self.cells.rate(start)
+        self.set_rate(start)
         return self.cells.volume_loss(self.value())
 
     def draw(self, liquid: Array) -> None:
@@ -96,7 +96,7 @@ class FaradaicBonds(Bonds):
     def arriving(self, classes: Array) -> Array:
         """See Bonds.arriving."""
         cells = self.cells
-        flux = cells.near(cells.scatter(cells.volume * cells.mu * self.on))
+        flux = cells.near(cells.scatter(cells.volume * self.mu * self.on))
         return self.rate * cells.scene.solid_concentration * cells.nu * flux
 
     def offered(self, classes: Array, liquid: Array | float) -> Array:
@@ -106,6 +106,6 @@ class FaradaicBonds(Bonds):
     def correct(self, classes: Array, change: Array, saturated: float) -> Array:
         """See Bonds.correct."""
         cells = self.cells
-        seen = cells.mu * cells.gather(cells.near(change * cells.free_share * cells.nu))
+        seen = self.mu * cells.gather(cells.near(change * cells.free_share * cells.nu))
         flux = self.rate * cells.scene.solid_concentration * self.on * seen
         return np.clip(classes - self.tau * flux, 0.0, self.old)

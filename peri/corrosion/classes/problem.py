@@ -29,7 +29,8 @@ class CellProblem(FirstOrder):
     Fields of its states: `concentration` (padded, of the liquid, mol/m^3), `classes` (of the
     metal), `volume` (what is metal of the classes, relative), `ahead` (the same some way
     on, which the rates are for), `life` (of the classes, columns.py) and
-    `theta` (padded).
+    `theta` (padded); `exposed` (of the classes, s: when one first saw liquid, infinite before)
+    where the kinetics needs an age.
 
     Parameters
     ----------
@@ -66,6 +67,8 @@ class CellProblem(FirstOrder):
             "concentration": liquid, "classes": classes, "volume": cells.volume,
             "ahead": cells.ahead, "life": np.ones(classes.size),
         }  # fmt: skip
+        if "age" in self.scene.needs:
+            fields["exposed"] = np.where(cells.bond_sum > 0, 0.0, np.inf)
         return State(0.0, fields, numbers)
 
     def restore(self, state: State) -> None:
@@ -92,6 +95,10 @@ class CellProblem(FirstOrder):
             *fields.values(), CLASS_BONDS[self.scene.dissolution.name].ahead
         )
         state.fields.update(fields, volume=self.cells.volume, ahead=self.cells.ahead)
+        if "exposed" in state.fields:
+            since = state.fields["exposed"]
+            new = np.isinf(since) & (self.cells.bond_sum > 0)
+            state.fields["exposed"] = np.where(new, state.time, since)
         state.numbers["volume_loss"] = self.cells.volume_loss(fields["classes"])
 
     def row(self, state: State) -> tuple[float, ...]:
@@ -132,6 +139,8 @@ class CellProblem(FirstOrder):
 
     def stage(self, old: Fields, tau: float, guess: State) -> Stage:
         """See Cells.stage."""
+        if "exposed" in guess.fields:
+            self.cells.age = np.maximum(0.0, guess.time - guess.fields["exposed"])
         solved = self.cells.stage(
             old["concentration"], old["classes"], tau, guess.fields["concentration"],
             guess.fields.get("theta"), guess.numbers["volume_loss"], old.get("owed"),
@@ -168,7 +177,8 @@ class CellProblem(FirstOrder):
     def pace(self, state: State) -> float:
         """The fastest class's relative loss, 1/s."""
         cells = self.cells
-        return cells.rate(0.0) * float(cells.bond_sum[cells.volume > 0].max(initial=0.0))
+        rate, local = cells.interface_rate(0.0)
+        return rate * float((local * cells.bond_sum)[cells.volume > 0].max(initial=0.0))
 
     def bounded(self, fields: Fields) -> Fields:
         """Concentrations from 0 to C_solid."""

@@ -11,11 +11,15 @@ from peri.corrosion.classes.bonds import Bonds
 from peri.corrosion.classes.laws import CLASS_BONDS
 from peri.corrosion.classes.volumes import Volumes
 from peri.corrosion.interface import saturation
+from peri.corrosion.interface.exchange import FixedPoint
 from peri.engine.march.problem import BoundsError
+from peri.engine.processes import ONE_PROCESS
 from peri.engine.solvers import ConvergenceError, DiffusionSystem
 
 _ROUNDS = 60
 _LOSS_TOLERANCE = 1e-9
+_DRIFT = 1e-7
+"""How well a stage has to know the liquid that the kinetics sees, relative."""
 _ROUND_REDUCTION = 0.1
 
 Array = NDArray[np.float64]
@@ -65,15 +69,17 @@ class StageSolver:
         active = (theta < 1.0) & reached
         law = CLASS_BONDS[self.cells.scene.dissolution.name]
         iterations, stall = 0, saturation.Stall()
+        seen = FixedPoint(ONE_PROCESS)
         for rounds in range(1, _ROUNDS + 1):
             y[active] = saturated
-            bonds = law(self.cells, theta, old_classes, tau)
+            guessed, drift = seen.settle(self.cells.seen_liquid(y))
+            bonds = law(self.cells, theta, old_classes, tau, guessed)
             volume_loss = bonds.settle(y, volume_loss)
             count, solved = self._solve(y, old, tau, bonds, active)
             iterations += count
             classes = bonds.classes(y)
             loss = self.cells.volume_loss(classes)
-            settled = solved and abs(loss - volume_loss) <= _LOSS_TOLERANCE
+            settled = solved and abs(loss - volume_loss) <= _LOSS_TOLERANCE and drift <= _DRIFT
             volume_loss = loss
             needed = np.where(active, self._needed(y, old, tau), 0.0)
             available = np.where(reached, np.maximum(bonds.offered(classes, saturated), 0.0), 0.0)

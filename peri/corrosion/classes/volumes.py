@@ -57,7 +57,8 @@ class Volumes:
 
     columns : the classes in their order.  cell : (n,) each class's cell in the flattened padded
     lattice; place : (r,) each column's.  volume : (n,) relative, what is metal of a class.
-    bond_sum : (n,) G, 1/m^2.  share : padded, c.  ends : mol/m^3, what metal holds where it ends.
+    bond_sum : (n,) G, 1/m^2.  age : (n,) s since a class first saw liquid, set before a stage.
+    share : padded, c.  ends : mol/m^3, what metal holds where it ends.
     """
 
     def __init__(self, scene: CorrosionScene, tolerance: float = 1e-9) -> None:
@@ -87,6 +88,7 @@ class Volumes:
         self.metal_scale = self.cells_of_metal * solid
         self._loss_scale = self.cells_of_metal * (solid - self.ends)
         self.base_diffusivity = scene.base_interface_diffusivity()
+        self.age = np.zeros(self.cell.size)
         self.set_volumes(self.initial_volume)
 
     def _reached(self) -> NDArray[np.bool_]:
@@ -190,11 +192,11 @@ class Volumes:
         """The liquid's steady state under the classes' first inflow, mol/m^3, on the lattice.
 
         It bounds the liquid's concentration at every time where the kinetics never speeds up;
-        None where no liquid is held.
+        None where no liquid is held, or classes have rates of their own.
         """
-        if not self.held_share.any():
+        if not (self.held_share.any() and self.scene.one_rate):
             return None
-        d, rate = self.scene.liquid_diffusivity, self.rate(0.0)
+        d, rate = self.scene.liquid_diffusivity, self.interface_rate(0.0)[0]
         inflow = self.free_share * self.pull * rate * self.scene.solid_concentration
         sink = self.free_share * d * self.sum(self.held_share)
         system = DiffusionSystem(self.sum, self.free_share, d * self.neighbour_share, d, sink)
@@ -218,9 +220,28 @@ class Volumes:
         """Let the interface carry a share of what it carries bare, from now on."""
         self.base_diffusivity = share * self.scene.base_interface_diffusivity()
 
-    def rate(self, volume_loss: float) -> float:
-        """k = D_int g(V_L), m^2/s."""
-        return self.base_diffusivity * float(self.scene.kinetics.rate(Exposed(volume_loss)))
+    def interface_rate(
+        self, volume_loss: float, seen: Array | None = None
+    ) -> tuple[float, Array | float]:
+        """k = D_int g, m^2/s, and each class's share of it (1 for all where it is one number).
+
+        seen : (n,) concentration of the liquid that each class sees (None: clean liquid).
+        """
+        kinetics = self.scene.kinetics
+        if self.scene.one_rate:
+            return self.base_diffusivity * float(kinetics.rate(Exposed(volume_loss))), 1.0
+        clean = np.zeros(self.cell.size)
+        known = {"concentration": clean if seen is None else seen, "age": self.age}
+        at = Exposed(volume_loss, **{n: known[n] for n in kinetics.needs if n in known})
+        return self.base_diffusivity, np.asarray(kinetics.rate(at), float)
+
+    def seen_liquid(self, liquid: Array) -> Array | None:
+        """Mean concentration over the bonds of each class, where the kinetics looks at it."""
+        if "concentration" not in self.scene.needs:
+            return None
+        bonds = self.gather(self.near(self.share * self.nu))
+        inflow = self.gather(self.near(self.free_share * self.nu * liquid))
+        return np.divide(inflow, bonds, out=np.zeros_like(bonds), where=bonds > 0)
 
     def left(self, classes: Array, life: Array) -> Array:
         """Volumes (n,) that are left of the classes."""

@@ -1,5 +1,7 @@
 """Rate classes in the march: the stage against dense algebra, balance, bounds, clean liquid."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -15,6 +17,13 @@ from peri.omissions.planning import LIQUID, corrode_lean, plan_omissions
 from peri.omissions.reduced import ReducedCorrosion, factor_of
 from peri.omissions.well_stirred import well_stirred
 from tests.peri.bodies import box
+from tests.peri.corrosion.test_local_kinetics import (
+    ByPotential,
+    Everywhere,
+    Inhibited,
+    Once,
+    Passivating,
+)
 from tests.peri.dense import pair_matrix
 from tests.peri.engine.surface.test_rate_classes import share_of_box
 
@@ -87,7 +96,7 @@ def test_stage_against_dense_algebra():
     np.testing.assert_allclose(
         bonds.sum(axis=1), cells.volume * cells.bond_sum, rtol=1e-12, atol=1e-15
     )
-    k = cells.rate(0.0)
+    k = cells.interface_rate(0.0)[0]
     matrix = np.zeros((m + n, m + n))
     matrix[:m, m:], matrix[m:, :m] = k * bonds, k * bonds.T
     matrix[m:, m:] = scene.liquid_diffusivity * w * np.outer(c, c)
@@ -213,6 +222,46 @@ def test_checkpoint_and_resume_bitwise(tmp_path):
     assert np.array_equal(again.history["step"], whole.history["step"])
 
 
+@pytest.mark.parametrize("law", ["proportional", "faradaic"])
+def test_one_number_said_class_by_class_is_that_number(law):
+    scene = brick(kinetics=Once(), dissolution=law)
+    once = corrode(scene, [300.0], TimeStepping())
+    everywhere = corrode(replace(scene, kinetics=Everywhere()), [300.0], TimeStepping())
+    assert once.volume_loss[0] > 0.05
+    # the stage's 1e-9 and a first step chosen alike
+    assert everywhere.volume_loss[0] == pytest.approx(once.volume_loss[0], rel=1e-7)
+
+
+@pytest.mark.parametrize("law", ["proportional", "faradaic"])
+def test_rates_by_the_liquid_and_by_age(law):
+    free = {"boundary": "refreshed", "kinetics": ConstantRate(), "dissolution": law}
+    clean = brick(liquid_diffusivity=1e4, **free)
+    # Age: all metal that sees liquid has seen it from the start, so g = exp(-t/100).
+    aged = replace(clean, kinetics=Passivating(100.0))
+    lost = corrode(aged, [200.0], TimeStepping(rate_change=0.01)).volume_loss[0]
+    as_if = 100.0 * (1 - np.exp(-2.0))
+    exact = corrode(clean, [as_if], TimeStepping(rate_change=0.01)).volume_loss[0]
+    assert lost > 0.01 and lost == pytest.approx(exact, rel=2e-3)
+    # Liquid: a stage agrees with the rate that its own liquid gives, class by class.
+    slow = brick(liquid_diffusivity=3e-3, saturation_concentration=50.0, **free)
+    scene = replace(slow, kinetics=Inhibited(2.0))
+    cells = Cells(scene, 1e-12)
+    liquid = np.zeros(cells.sum.padded_shape)
+    old = np.full(cells.cell.size, 100.0)
+    stage = cells.stage(liquid, old, 50.0, liquid, None, 0.0)
+    seen = cells.seen_liquid(stage.liquid)
+    assert seen.max() > 0.5 and np.ptp(seen[cells.bond_sum > 0]) > 0.1
+    weight = (cells.free_share + cells.held_share) * cells.nu
+    mu = cells.mu / (1 + seen / 2.0) * cells.base_diffusivity * 50.0
+    opened = mu * cells.gather(cells.near(weight))
+    drawn = mu * cells.gather(cells.near(cells.free_share * cells.nu * stage.liquid))
+    wanted = (100.0 + drawn) / (1 + opened) if law == "proportional" else 100.0 * (1 - opened)
+    np.testing.assert_allclose(stage.classes, wanted, rtol=1e-6)
+    found = corrode(scene, [500.0], TimeStepping())
+    assert np.abs(found.history["balance_error"]).max() < 1e-12
+    assert found.volume_loss[0] < corrode(slow, [500.0], TimeStepping()).volume_loss[0]
+
+
 def test_faraday_without_saturation():
     free = {"dissolution": "faradaic", "saturation": "none", "kinetics": ConstantRate()}
     scene = brick(boundary="refreshed", liquid_diffusivity=1e-3, **free)
@@ -241,5 +290,7 @@ def test_faraday_without_saturation():
 def test_laws_without_classes_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
         brick(**options)
+    with pytest.raises(ValueError, match="kinetics: ByPotential needs potential; rate classes"):
+        brick(kinetics=ByPotential())
     with pytest.raises(ValueError, match="forward_euler"):
         corrode(brick(), [1.0], TimeStepping("forward_euler"))
