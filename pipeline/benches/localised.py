@@ -1,21 +1,26 @@
-"""Benchmarks of localised corrosion: stochastic bond damage, a crevice as a film."""
+"""Benchmarks of localised corrosion: bond damage, a crevice as a film, local rates, lacy covers."""
 
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 
+from peri.corrosion import CorrosionScene, corrode
 from peri.corrosion.metal.bond_damage import BondDamage
+from peri.corrosion.passivity import Repassivation
 from peri.engine.lattice import Lattice
 from peri.engine.march.marching import TimeStepping, march
 from peri.omissions.thin_gap import ThinGapProblem
+from pipeline.benches.corrosion import pitting_scene
 from pipeline.benches.result import Result
 from pipeline.scenes.crevices import (
     PUBLISHED_CURRENT_FACTOR,
     PUBLISHED_DIFFUSIVITY_FACTOR,
     crevice_625,
 )
+from pipeline.scenes.pits_2d import lacy_metal
 
 HORIZON_RATIO = 4
 
@@ -110,3 +115,65 @@ def crevice(nodes: int = 1016, end: float = 72 * HOUR) -> list[Result]:
 def small_crevice() -> list[Result]:
     """The same on 127 nodes to 12 h: to see that it works."""
     return crevice(127, 12 * HOUR)
+
+
+def pitting(shape: tuple[int, int, int] = (128, 128, 64), end: float = 83.0) -> list[Result]:
+    """What rates by the concentration cost a pit of 304 steel, and a lacy cover in 3D.
+
+    Ten explicit and three implicit steps of the pit of `pitting-step` with one rate, and with a
+    rate for each metal node.  The lacy cover: that of the scene pit-lacy, its section turned into
+    a sheet of as many nodes.
+    """
+    plain = pitting_scene(shape)
+    film = Repassivation(1e-3, plain.saturation_concentration, passive_share=0.99, width=1.0)
+    local = replace(plain, kinetics=film)
+    results = [Result("nodes", int(np.prod(shape)), "1")]
+    for name, scheme, count in (("explicit", "forward_euler", 10), ("implicit", "sdirk2", 3)):
+        spent = {}
+        for kind, scene in (("one rate", plain), ("local rates", local)):
+            step = None if scheme == "forward_euler" else 4.0
+            length = 0.4 * count if step is None else step * count
+            corrode(scene, [0.1 * length], TimeStepping(scheme, step=step))  # compiled
+            started = time.process_time()
+            done = corrode(scene, [length], TimeStepping(scheme, step=step))
+            spent[kind] = (time.process_time() - started) / (done.history["time"].size - 1)
+            results.append(Result(f"{name} step, {kind}: processor time", spent[kind], "s"))
+        ratio = spent["local rates"] / spent["one rate"]
+        results.append(Result(f"{name} step, local rates over one rate", ratio, "1", "<= 1.3"))
+    scene = lacy_sheet(shape)
+    started = time.process_time()
+    done = corrode(scene, [end], TimeStepping(step=0.5))
+    history, metal = done.history, done.metal[-1]
+    gone, surface = scene.metal & ~metal, int(np.flatnonzero(scene.metal.any(axis=(0, 1)))[-1])
+    widest = float(np.sqrt(gone.any(axis=2).sum()) * scene.lattice.spacing[0])
+    mouth = float(np.sqrt(gone[:, :, surface].sum()) * scene.lattice.spacing[0])
+    return [
+        *results,
+        Result(f"lacy cover, {end:g} s: wall time", done.wall_time, "s", "<= 600"),
+        Result("lacy cover: processor time", time.process_time() - started, "s"),
+        Result("lacy cover: steps", history["time"].size - 1, "1"),
+        Result("lacy cover: width of the pit", 1e6 * widest, "um"),
+        Result("lacy cover: width of its mouth", 1e6 * mouth, "um"),
+        Result(
+            "lacy cover: balance error",
+            float(np.abs(history["balance_error"]).max()),
+            "1",
+            "<= 1e-10",
+        ),
+    ]
+
+
+def small_pitting() -> list[Result]:
+    """The same on 32 x 32 x 24 nodes to 5 s: to see that it works."""
+    return pitting((32, 32, 24), 5.0)
+
+
+def lacy_sheet(shape: tuple[int, int, int], spacing: float = 2.5e-6) -> CorrosionScene:
+    """The scene pit-lacy with a half ball for a nucleus, in a sheet; z up."""
+    lattice = Lattice((0.0,) * 3, (spacing,) * 3, shape)
+    x, y, z = lattice.coordinates()
+    middle = 0.5 * spacing * (np.array(shape) - 1)
+    top = spacing * (shape[2] - 4.5)
+    metal = np.ascontiguousarray(np.broadcast_to(z < top, shape))
+    away = (x - middle[0]) ** 2 + (y - middle[1]) ** 2 + (z - top) ** 2
+    return lacy_metal(lattice, metal, metal & (away < (20e-6) ** 2), 2 * spacing)

@@ -190,6 +190,11 @@ BENCHMARKS: dict[str, Benchmark] = {
         bench_corrosion.pitting_step,
         bench_corrosion.small_pitting,
     ),
+    "pitting": Benchmark(
+        "what local rates cost a pit of 1e6 nodes, and a lacy cover in 3D to 83 s",
+        bench_localised.pitting,
+        bench_localised.small_pitting,
+    ),
     "bond-damage": Benchmark(
         "stochastic damage of the bonds of 1e6 nodes, m = 4",
         bench_localised.bond_damage,

@@ -68,7 +68,20 @@ def lacy_scene(
     lattice = section(300e-6, 80e-6, 2 * horizon, spacing)
     x, y = (np.broadcast_to(a, lattice.shape) for a in lattice.coordinates())
     metal = np.ascontiguousarray(y < 0)
-    phase = metal.astype(np.uint8) + (metal & (x**2 + y**2 < nucleus**2))
+    bare = metal & (x**2 + y**2 < nucleus**2)
+    return lacy_metal(lattice, metal, bare, horizon, current, critical, passive)
+
+
+def lacy_metal(
+    lattice: Lattice,
+    metal: np.ndarray,
+    bare: np.ndarray,
+    horizon: float,
+    current: float = 1e5,
+    critical: float = 0.7,
+    passive: float = 1e-3,
+) -> CorrosionScene:
+    """Steel that is passive below a critical concentration but for its bare nodes."""
     saturated = STEEL_304["saturation_concentration"]
     solid = STEEL_304["solid_concentration"]
     film = Repassivation(critical * saturated, saturated, passive)
@@ -79,7 +92,7 @@ def lacy_scene(
         dissolution_flux=current / (CHARGE_NUMBER * FARADAY),
         dissolution="faradaic",
         solids=(Solid(solid, kinetics=film), Solid(solid, kinetics=ConstantRate())),
-        phase=phase.astype(np.uint8),
+        phase=metal.astype(np.uint8) + bare.astype(np.uint8),
         **STEEL_304,
     )
 
