@@ -1,13 +1,14 @@
 """What is installed, and what of it does without dolfinx."""
 
 import os
-import shutil
 import subprocess
 import sys
 import zipfile
 from pathlib import Path
 
 import pytest
+
+from pipeline.benches.empty_environment import copied_sources
 
 ROOT = Path(__file__).resolve().parent.parent
 SOLVED_BY_DOLFINX = {
@@ -61,16 +62,9 @@ def test_only_the_tensile_test_and_marches_on_ranks_need_dolfinx_or_mpi() -> Non
 def unpacked(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The wheel of this checkout, built from a copy of its files and unpacked."""
     place = tmp_path_factory.mktemp("wheel")
-    for folder in ("data", "fem", "peri", "perilife", "pipeline"):
-        shutil.copytree(
-            ROOT / folder, place / "source" / folder, ignore=shutil.ignore_patterns("__pycache__")
-        )
-    for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE"):
-        shutil.copy(ROOT / name, place / "source")
+    source = copied_sources(place / "source")
     command = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation"]
-    subprocess.run(
-        [*command, "-w", str(place), str(place / "source")], check=True, capture_output=True
-    )
+    subprocess.run([*command, "-w", str(place), str(source)], check=True, capture_output=True)
     (wheel,) = place.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(place / "site-packages")

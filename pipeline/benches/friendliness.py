@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from pipeline.benches.empty_environment import empty_environment, small_empty_environment
 from pipeline.benches.first_steps import small_three_lines, starts, three_lines
 from pipeline.benches.images import image_to_solid
 from pipeline.benches.result import Result
@@ -135,5 +136,6 @@ ROWS: dict[str, Row] = {
     "exported-screw": Row(exported_screw, small_exported_screw),
     "compared-runs": Row(compared_runs, small_compared_runs),
     "image-to-solid": Row(image_to_solid, partial(image_to_solid, 96)),
+    "empty-environment": Row(empty_environment, small_empty_environment),
 }
 """What `perilife bench friendliness` measures."""
