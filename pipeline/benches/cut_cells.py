@@ -21,7 +21,7 @@ from peri.engine.surface.triangles import Surface
 from peri.omissions.reduced import ReducedCorrosion, factor_of
 from pipeline.benches.moving_front import moving_balls
 from pipeline.benches.result import Result
-from pipeline.stages.exposure import share_of_ball
+from pipeline.geometry.cell_shares import cell_shares
 
 Array = NDArray[np.float64]
 
@@ -52,7 +52,9 @@ def _measure(ratios: tuple[int, ...], positions: int, refinements: int) -> list[
         errors, before, seconds = [], [], []
         for shift in rng.random((positions, 3)):
             lattice = _lattice(ratio, shift)
-            fraction = share_of_ball(lattice, (0.0, 0.0, 0.0), RADIUS)
+            fraction = cell_shares(
+                surface.vertices, surface.facets, lattice.origin, lattice.spacing, lattice.shape
+            )
             start = time.process_time()
             classes = rate_classes(lattice, surface, HORIZON, fraction)
             seconds.append(time.process_time() - start)

@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 from peri.corrosion.run import CorrosionResult
 from peri.engine.cells import hand_over
 
+_ROUND_OFF = 1e-12
+"""Of C_solid: a smaller loss of a cell is that of the mean of its classes."""
+
 
 def by_nodes(result: CorrosionResult, inside: NDArray[np.bool_]) -> CorrosionResult:
     """The result with metal at the nodes that lie in the solid only; its amount is kept.
@@ -41,8 +44,12 @@ def by_nodes(result: CorrosionResult, inside: NDArray[np.bool_]) -> CorrosionRes
             hand_over(np.where(liquid, values, 0.0), slivers), count,
             out=np.zeros_like(values), where=count > 0,
         )  # fmt: skip
-        mean = np.divide(handed(share * values), held, out=np.zeros_like(held), where=held > 0)
-        fields.append(np.where(metal, mean, np.where(slivers, about, values)))
+        # What is gone is handed over, less the round-off of a cell's mean: whole metal is whole.
+        gone = scene.solid_concentration - values
+        gone = handed(share * np.where(gone > _ROUND_OFF * scene.solid_concentration, gone, 0.0))
+        gone = np.divide(gone, held, out=np.zeros_like(held), where=held > 0)
+        inner = np.where(metal, scene.solid_concentration - gone, values)
+        fields.append(np.where(slivers, about, inner))
     return replace(
         result,
         scene=replace(scene, exposure=None, metal=metal, domain=scene.domain | metal),

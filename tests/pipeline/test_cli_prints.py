@@ -146,7 +146,7 @@ def test_the_law_of_the_rate_is_a_choice(capsys, law, factors):
 def test_studies_are_listed_and_refused_in_one_sentence(tmp_path, capsys):
     assert main(["study", "list"]) == 0
     assert "rates" in capsys.readouterr().out
-    refused(capsys, ["study", "tensile-weather"], "tensile-weather", "corrosion, rates, saturation")
+    refused(capsys, ["study", "tensile-weather"], "tensile-weather", "rates, saturation")
     refused(capsys, ["study", "corrosion"], "--out")
     out = tmp_path / "studies"
     refused(capsys, ["study", "corrosion", "--alloy", "Mg-7Gd", "--out", str(out)], "Mg-7Gd")

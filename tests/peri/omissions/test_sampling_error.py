@@ -121,7 +121,6 @@ def test_estimate_over_true_error(body, ratio, low, high, most):
     scene = scene_of(surface, ratio)
     error = float(np.abs(well_stirred(scene, TIMES).volume_loss / exact - 1).max())
     found = sampling_error(scene, TIMES)
-    print("XX", error, found, found / error)
     assert 1e-5 < error < most
     assert low * error < found < high * error
 

@@ -62,18 +62,18 @@ def test_scene_with_classes():
     assert np.array_equal(march.metal, fraction > 0)
     assert march.capacity()[march.metal].sum() == pytest.approx(fraction.sum())
     assert exposure.held.max() == 1 and (exposure.held <= exposure.inside).all()
-    result = corrode(march, [5 * 86400.0], TimeStepping("sdirk2", rate_change=0.2))
+    result = corrode(march, [0.0, 5 * 86400.0], TimeStepping("sdirk2", rate_change=0.2))
     nodes = by_nodes(result, metal)
     assert np.array_equal(nodes.scene.metal, metal)
     lost = [
-        (r.scene.capacity() * (r.scene.solid_concentration - r.concentration[0]))[r.scene.metal]
+        (r.scene.capacity() * (r.scene.solid_concentration - r.concentration[1]))[r.scene.metal]
         for r in (result, nodes)
     ]
-    # Measured: 2e-3; a node stands for at least a twentieth of a cell.
-    print("XX", lost[1].sum() / lost[0].sum() - 1)
-    assert lost[1].sum() == pytest.approx(lost[0].sum(), rel=5e-3)
+    # Measured: round-off; elsewhere a node may stand for its least, a twentieth of a cell.
+    assert lost[1].sum() == pytest.approx(lost[0].sum(), rel=1e-4)
     outside = march.metal & ~metal
-    assert outside.any() and nodes.concentration[0][outside].max() <= march.saturation_concentration
+    assert outside.any() and nodes.concentration[1][outside].max() <= march.saturation_concentration
+    assert (nodes.concentration[0][metal] == march.solid_concentration).all()
     assert replace(settings, dissolution="faradaic", saturation="none").classes
     with pytest.raises(SceneError, match="saturation where there are rate classes"):
         replace(settings, saturation="none")
