@@ -8,7 +8,7 @@ from functools import partial
 
 from perilife_data import did_you_mean
 from pipeline.scene.units import format_length
-from pipeline.scenes import couples, crevices, grains, pits, pits_2d
+from pipeline.scenes import couples, crevices, grains, implants, pits, pits_2d
 from pipeline.scenes.outcome import Prepared
 
 
@@ -75,6 +75,12 @@ SCENES: dict[str, Entry] = {
         ("0s", "1h", "2h", "5h"),
         (0.5e-6, 2e-6),
         grains.intergranular,
+    ),
+    "screw-in-titanium-plate": Entry(
+        "magnesium screw in a titanium plate, coupled and insulated: metal and strength, 8 weeks",
+        ("0w", "1w", "2w", "4w", "8w"),
+        (50e-6, 105e-6),
+        implants.screw_in_plate,
     ),
 }
 

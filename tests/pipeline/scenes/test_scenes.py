@@ -144,3 +144,18 @@ def test_boundaries_are_attacked_deeper_than_grains(tmp_path):
     assert depth > 10 * by_grains  # measured 34 um against 1.2 um
     assert gone[boundary].mean() > 5 * gone[grain].mean() > 0
     assert np.abs(result.history["balance_error"]).max() < 1e-12
+
+
+@pytest.mark.slow
+def test_a_screw_loses_more_in_a_titanium_plate(tmp_path):
+    """Coupled it loses more, most of it beside the plate; insulated it obeys its own law."""
+    folder = tmp_path / "run"
+    run(folder, "screw-in-titanium-plate", "--spacing", "105um", "--times", "0w", "2w")
+    found = summary_of(folder)
+    assert found["Faraday's law left open, largest"] < 1e-12
+    assert found["whole lost, coupled"] > 1.2 * found["whole lost, insulated"] > 0.02
+    assert found["head lost, coupled"] > found["shank lost, coupled"]
+    assert 0 < found["strength left, coupled"] < found["strength left, insulated"] < 1
+    current = found["current of the couple at the start"]
+    assert found["the same, titanium 0.1 times"] < current < found["the same, titanium 10 times"]
+    assert found["the same, plate of radius 2 mm"] < current
