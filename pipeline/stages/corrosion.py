@@ -232,7 +232,7 @@ def march_omissions(scene: Scene, solid: Solid) -> list[tuple[str, Omission]]:
         tolerance, keep = scene.corrosion.tolerance, scene.corrosion.keep
         omissions = plan_omissions(corrosion, end, tolerance, keep)
         if scene.ions is not None:
-            omissions = [*omissions, *ion_stage.plan_ions(corrosion, scene.ions)]
+            omissions = ion_stage.plan_ions(corrosion, scene.ions, omissions)
         found += [(alloy.name, omission) for omission in omissions]
     return found
 

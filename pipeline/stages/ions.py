@@ -198,9 +198,17 @@ def _afterwards(problem: Degradation, result: CorrosionResult) -> list[Output]:
     return outputs
 
 
-def plan_ions(corrosion: CorrosionScene, ions: IonSettings) -> list[Omission]:
-    """What a march with these ions would leave out; solves for the first release."""
-    return ion_omissions(problem_of(corrosion, ions))
+def plan_ions(
+    corrosion: CorrosionScene, ions: IonSettings, of_metal: list[Omission]
+) -> list[Omission]:
+    """What a march with these ions would leave out; solves for the first release.
+
+    of_metal : what a march of the metal alone leaves out; one that follows the liquid computes all
+    of that.
+    """
+    problem = problem_of(corrosion, ions)
+    omissions = ion_omissions(problem)
+    return omissions if problem.follows_minerals else [*of_metal, *omissions]
 
 
 def write(

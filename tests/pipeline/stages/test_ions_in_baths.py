@@ -8,12 +8,13 @@ import pytest
 
 import perilife_data
 from peri.engine.march.marching import TimeStepping
+from peri.engine.omission import Omission
 from pipeline.scene.feedback import FeedbackSettings
 from pipeline.scene.ions import resolve_ions
 from pipeline.scene.options import add_scene_options, scene_from_options
 from pipeline.scene.resolve import resolve_scene
 from pipeline.scene.scene import scene_from_json
-from pipeline.stages.ions import corrode_with_ions, ion_numbers, medium_of, problem_of
+from pipeline.stages.ions import corrode_with_ions, ion_numbers, medium_of, plan_ions, problem_of
 from tests.pipeline.stages.test_ions import WEEK, pin
 
 TYPED = ["--alloy", "Mg-5Gd", "--immersion", "0w", "1w", "--model", "nnpp"]
@@ -86,6 +87,16 @@ def test_the_stage_gives_the_ph_of_the_bath() -> None:
     assert numbers["ph"] < last["bath_ph"] < last["ph_beside_metal"]
     assert last["balance"] < 1e-10
     assert 0.4 * WEEK in result.history["time"]
+
+
+def test_a_march_that_follows_the_liquid_leaves_nothing_of_the_metals_out() -> None:
+    alone = [Omission("liquid", "clean", 1e-6, True)]
+    names = []
+    for more in ({}, {"bath_volume": 1e-6}):
+        ions = resolve_ions(minerals=[], closure="none", **more)
+        names.append([o.name for o in plan_ions(pin(1e-6), ions, alone)])
+    assert "liquid" in names[0] and "liquid" not in names[1]
+    assert "the liquid's own content" in names[1]
 
 
 def own(tmp_path, pk: float = 7.73) -> str:
