@@ -35,6 +35,9 @@ _MAXIMUM_ROUNDS = 200
 _ROUND_OFF = 5e-14
 """Of the largest content per step: a residual below this is round-off (measured 2e-14 in sbf)."""
 
+_LOOSE = 1e-3
+"""Of the shift, left in the operator for psi: without any it is singular in closed vessels."""
+
 _BOND_ROUND_OFF = 1e-15
 _SATURATION = 2e-12
 """To which share the composition of a saturated node is known (speciation.saturate)."""
@@ -87,6 +90,8 @@ class StoredLiquid(QuasiSteadyLiquid):
         space.degree = space.degree + sigma
         space.exit = space.exit + sigma
         self.space, self.sigma, self.plain = space, sigma, space.system()
+        unshifted = np.full(space.n, _LOOSE * sigma)
+        self._loose = self._open_space.system(sink=unshifted)
 
     def advance(
         self,
@@ -169,7 +174,7 @@ class StoredLiquid(QuasiSteadyLiquid):
             psi = state.psi
             # A potential that follows round-off would only stir the ions.
             if neutral and charge > 0.1 * absolute:
-                psi = psi + state.net_charge / support
+                psi = psi + self._potential_of(state, state.net_charge / support)
                 if closed:
                     psi = psi - psi.mean()
             trial = copy.copy(state)
@@ -223,6 +228,18 @@ class StoredLiquid(QuasiSteadyLiquid):
             f"{_MAXIMUM_ROUNDS} rounds, {wanted.max():.2g} wanted ({charge:.2g} from "
             "its charge); a shorter step will do"
         )
+
+    def _potential_of(self, state: LiquidState, excess: np.ndarray) -> np.ndarray:
+        """The change of psi that takes away net charge over sum z^2 C, (n,).
+
+        At rest it is the excess itself; in a short step the ions follow a wave of psi by
+        A / (A + sigma) only, so that psi has to rise by (A + sigma) / A times as much.
+        """
+        right = self.space.outflow(excess)
+        size = float(np.linalg.norm(right))
+        found, used = self._open_space.solve(self._loose, right, excess, 1e-3 * size)
+        state.iterations += used
+        return found
 
     def _neutralise(self, state: LiquidState) -> None:
         """Let the inert ion take up what charge is left: less than its balance is good for."""
