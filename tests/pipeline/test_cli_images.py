@@ -105,7 +105,7 @@ def test_run_takes_a_scan_to_its_strength(tmp_path, capsys):
         last = dict(zip(names, rows[-1].split(","), strict=True))
         left[name] = {key: float(last[key]) for key in ("strength_ratio", "volume_loss")}
         assert (out / "report.html").exists()
-    assert "Metal" in (tmp_path / "scan" / "report.html").read_text()
+    assert "Voxels of metal" in (tmp_path / "scan" / "report.html").read_text()
     assert 0.05 < left["solid"]["volume_loss"] < 0.5
     # 0.830 and 0.827 measured; of the losses, 11.4 and 11.9 %, the quick lattice allows 6.6 % error
     for key, allowed in (("strength_ratio", 0.02), ("volume_loss", 0.07)):
