@@ -19,7 +19,7 @@ from peri.engine.lattice import ball as nodes_of_ball
 from peri.engine.surface.rate_classes import rate_classes
 from peri.engine.surface.triangles import Surface
 from peri.omissions.reduced import ReducedCorrosion, factor_of
-from pipeline.benches.moving_front import moving_balls
+from pipeline.benches.moving_front import edged_bodies, moving_balls
 from pipeline.benches.result import Result
 from pipeline.geometry.cell_shares import cell_shares
 
@@ -35,7 +35,8 @@ _FACTOR = SOLID / (SOLID - SATURATED)
 
 def cut_cells() -> list[Result]:
     """Three lattices, five positions each; two of the surface that moves."""
-    return _measure((2, 3, 4), 5, 5) + moving_balls(round_surface(1.0, 5), (2, 3, 4), 2, 0.02)
+    moving = moving_balls(round_surface(1.0, 5), (2, 3, 4), 2, 0.02)
+    return _measure((2, 3, 4), 5, 5) + moving + edged_bodies((2, 3, 4), 0.03)
 
 
 def small_cut_cells() -> list[Result]:

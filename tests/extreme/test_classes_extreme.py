@@ -10,6 +10,8 @@ from peri.engine.lattice import Lattice
 from peri.engine.march.marching import TimeStepping
 from peri.engine.surface.rate_classes import CellExposure, RateClasses, cell_exposure
 from tests.peri.bodies import box
+from tests.peri.corrosion.classes.test_cells import random_classes
+from tests.peri.corrosion.test_local_kinetics import Inhibited, Passivating
 from tests.peri.engine.surface.test_rate_classes import share_of_box
 
 LAWS = ("proportional", "faradaic")
@@ -114,3 +116,46 @@ def test_stiff_classes_stay_second_order():
     first, second = (abs(loss - exact) for loss in losses)
     # measured 2.42e-5 and 6.03e-6; a first-order step among them errs by 1e-3
     assert second < 0.3 * first and second < 1e-4 * exact
+
+
+def random_scene(seed):
+    """Random classes and shares (test_cells) under a random law, kinetics and liquid."""
+    rng = np.random.default_rng(1000 + seed)
+    law = LAWS[seed % 2]
+    kinetics = (
+        ConstantRate(), VolumeLossLaw(10 ** rng.uniform(-3, 1)),
+        Inhibited(10 ** rng.uniform(-3, 2)), Passivating(10 ** rng.uniform(-2, 4)),
+    )  # fmt: skip
+    free = law == "faradaic" and rng.random() < 0.3
+    return random_classes(
+        seed, dissolution=law, boundary=("refreshed", "no_flux")[(seed // 2) % 2],
+        liquid_diffusivity=10.0 ** rng.uniform(-6, 6),
+        dissolution_flux=10.0 ** rng.uniform(-6, 4),
+        saturation_concentration=10.0 ** rng.uniform(-4, 1.9),
+        kinetics=kinetics[rng.integers(4)],
+        saturation="none" if free else "complementarity",
+    ), 10.0 ** rng.uniform(-2, 6)  # fmt: skip
+
+
+@pytest.mark.slow
+def test_random_scenes_with_random_classes():
+    ended, moved = 0, 0
+    for seed in range(40):
+        scene, end = random_scene(seed)
+        try:
+            found = corrode(scene, [0.1 * end, end], TimeStepping(rate_change=0.3))
+        except ValueError as error:
+            # what liquid without saturation is refused for
+            assert scene.saturation == "none" and "the liquid fills beyond" in str(error)
+            continue
+        ended += 1
+        moved += 0.01 < found.volume_loss[-1]
+        assert np.abs(found.history["balance_error"]).max() < 1e-11, seed
+        # of a stage known to 1e-9
+        assert np.diff(found.history["volume_loss"]).min() > -1e-9, seed
+        assert found.history["time"].size < 1000, seed
+        most = scene.saturation_concentration
+        most = scene.solid_concentration if scene.saturation == "none" else most
+        assert found.concentration.min() >= -1e-10, seed
+        assert found.concentration[:, ~scene.metal].max() <= most * (1 + 1e-6), seed
+    assert ended >= 35 and moved >= 15
