@@ -5,6 +5,7 @@ How a corroded solid is held decides which part of it is tested, and with it the
 
 from dataclasses import dataclass
 
+from pipeline.scene.image import ImageFile
 from pipeline.scene.scene import Geometry, SceneError, ScrewGeometry
 
 GIVEN = "own"
@@ -71,24 +72,36 @@ def has_slot(geometry: Geometry) -> bool:
 def grip_depths(name: str, geometry: Geometry, horizon: float) -> tuple[float, float]:
     """Lengths (m) that the bottom and the top grip of a way of holding hold.
 
-    Raises SceneError for an unknown name, and for the slotted section of a solid without slot.
+    Raises SceneError for an unknown name, for the slotted section of a solid without slot, and for
+    the end faces of a solid from an image.
     """
     deep = crust_depth(geometry, horizon)
     if name == "shank":
         return deep, deep
     if name == "faces":
+        check_ends((0.0, 0.0), geometry)
         return 0.0, 0.0
     if name != "slot":
         raise SceneError(f"hold is '{name}'; it must be one of {', '.join(ALL)}, all")
     top = SLOT_HORIZONS * horizon
     if not has_slot(geometry):
-        raise SceneError("hold is 'slot' and the solid has no slot; it must be shank or faces")
+        others = "shank" if isinstance(geometry, ImageFile) else "shank or faces"
+        raise SceneError(f"hold is 'slot' and the solid has no slot; it must be {others}")
     if top >= geometry.parameters.slot_depth:
         raise SceneError(
             f"hold is 'slot' and the slot is {1e3 * geometry.parameters.slot_depth:g} mm deep; it "
             f"must be deeper than the top grip, {SLOT_HORIZONS:g} horizons, {1e3 * top:g} mm"
         )
     return deep, top
+
+
+def check_ends(depths: tuple[float, float], geometry: Geometry) -> None:
+    """Refuse to hold an end face that is not plane, as those of a solid from an image are not."""
+    if 0.0 in depths and isinstance(geometry, ImageFile):
+        raise SceneError(
+            "an end face is to be held and the solid is from an image, whose ends are round at the "
+            "rim and rough; it must be held deeper (--hold shank, or both grips above 0)"
+        )
 
 
 def named(depths: tuple[float, float], geometry: Geometry, horizon: float) -> str:

@@ -134,6 +134,7 @@ def _holds(
     deep = holding.crust_depth(geometry, lattice.horizon)
     if given:
         depths = (float(tensile.get("bottom_grip", deep)), float(tensile.get("top_grip", deep)))
+        holding.check_ends(depths, geometry)
         ways = {holding.named(depths, geometry, lattice.horizon): depths}
     else:
         asked = holding.asked_for(list(names) or ["shank"], geometry, lattice.horizon)

@@ -33,6 +33,9 @@ def test_a_scene_from_an_image_comes_back_from_json_and_counts_by_content(tmp_pa
     image = scene.geometry
     assert isinstance(image, ImageFile) and image.voxel == (100e-6, 50e-6, 200e-6)
     assert (image.threshold, image.label, image.cap) == (100.0, None, True)
+    assert [hold.name for hold in scene_of([*options, "--label", "9", "--hold", "all"]).holds] == [
+        "shank"
+    ]
     (tmp_path / "scene.json").write_text(json.dumps(scene.to_json()))
     write_tiff(tmp_path / "scan.tif", pin(90e-6))
     assert scene_of([*options, "--threshold", "100"]).geometry.sha256 != image.sha256
@@ -61,6 +64,9 @@ def test_a_scene_from_an_image_comes_back_from_json_and_counts_by_content(tmp_pa
         (["--image", "BESIDE", "--label", "1"], ["scan.png", ".tif, .tiff, .mha, .nrrd, .nii"]),
         (["--image", "SCAN", "--label", "200", "--voxel", "7um"], ["--voxel", "100 x 100 x 100"]),
         (["--image", "SCAN", "--label", "7"], ["label is 7", "20 to 200"]),
+        (["--image", "SCAN", "--label", "200", "--hold", "faces"], ["end face", "from an image"]),
+        (["--image", "SCAN", "--label", "200", "--top-grip", "0mm"], ["end face", "grips above 0"]),
+        (["--image", "SCAN", "--label", "200", "--hold", "slot"], ["no slot", "must be shank"]),
     ],
 )
 def test_an_image_that_is_not_described_is_refused(tmp_path, capsys, options, words):
