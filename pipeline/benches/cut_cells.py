@@ -19,7 +19,7 @@ from peri.engine.lattice import ball as nodes_of_ball
 from peri.engine.surface.rate_classes import rate_classes
 from peri.engine.surface.triangles import Surface
 from peri.omissions.reduced import ReducedCorrosion, factor_of
-from pipeline.benches.moving_front import edged_bodies, moving_balls
+from pipeline.benches.moving_front import edged_bodies, moving_balls, saturated_balls
 from pipeline.benches.result import Result
 from pipeline.geometry.cell_shares import cell_shares
 
@@ -36,6 +36,7 @@ _FACTOR = SOLID / (SOLID - SATURATED)
 def cut_cells() -> list[Result]:
     """Three lattices, five positions each; two of the surface that moves."""
     moving = moving_balls(round_surface(1.0, 5), (2, 3, 4), 2, 0.02)
+    moving += saturated_balls(round_surface(1.0, 4), 0.05)
     return _measure((2, 3, 4), 5, 5) + moving + edged_bodies((2, 3, 4), 0.03)
 
 
