@@ -133,10 +133,9 @@ def own_errors(run: RunResults) -> dict[str, float]:
     return {name: float(error) for name, error in found.items() if _finite(error)}
 
 
-def _by_itself(run: RunResults, own: dict[str, float]) -> str:
-    """The errors that the run found by itself, and what they do not hold."""
-    errors = ", ".join(f"{percent(error, 2)} for {name}" for name, error in own.items())
-    liquid = [
+def _with_liquid(run: RunResults) -> list[str]:
+    """Names of the alloys whose liquid was computed."""
+    return [
         alloy.name
         for alloy in run.alloys
         if not any(
@@ -144,6 +143,12 @@ def _by_itself(run: RunResults, own: dict[str, float]) -> str:
             for o in alloy.corrosion_numbers.get("omissions", [])
         )
     ]
+
+
+def _by_itself(run: RunResults, own: dict[str, float]) -> str:
+    """The errors that the run found by itself, and what they do not hold."""
+    errors = ", ".join(f"{percent(error, 2)} for {name}" for name, error in own.items())
+    liquid = _with_liquid(run)
     more = "time steps" + f" and the liquid of {' and '.join(liquid)}" * bool(liquid)
     return (
         f"The run itself finds the volume loss off by about {errors} of its value because the "
@@ -246,6 +251,7 @@ def in_short(run: RunResults, assumed: int) -> str:
     elif own := own_errors(run):
         most = max(own.values())
         error = f"discretisation error of the volume loss about {percent(most, 1)} by its own check"
+        error += ", which does not look at the liquid" * bool(_with_liquid(run))
         tensile = tensile_error(run.scene, run.scene.holds[0])
         if tensile is not None:
             error += f", of the strength left of the shank up to {percent(tensile.error, 1)}"
