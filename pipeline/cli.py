@@ -25,10 +25,10 @@ from pipeline.record.machine import prepare_libraries
 from pipeline.record.options import add_folder_options, add_machine_options
 from pipeline.record.summary import print_summary
 from pipeline.run import add_init_options, add_run_options, every_option, fitting_scene
-from pipeline.scene.alloy_command import add_alloy_options
-from pipeline.scene.options import add_scene_options
-from pipeline.scene.parser import OneSentenceParser
-from pipeline.scene.scene_file import take_scene_file
+from pipeline.scene.command.alloy_command import add_alloy_options
+from pipeline.scene.command.options import add_scene_options
+from pipeline.scene.command.parser import OneSentenceParser
+from pipeline.scene.command.scene_file import take_scene_file
 from pipeline.scenes.command import add_scenes_options
 from pipeline.studies.command import add_study_options
 
@@ -208,7 +208,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _init(options: argparse.Namespace) -> int:
-    from pipeline.scene.template import write_template
+    from pipeline.scene.command.template import write_template
 
     print(write_template(every_option(), options), end="")
     return 0
@@ -355,7 +355,7 @@ def _scenes(options: argparse.Namespace) -> int:
 
 
 def _alloy(options: argparse.Namespace) -> int:
-    from pipeline.scene.alloy_command import run_alloy
+    from pipeline.scene.command.alloy_command import run_alloy
 
     run_alloy(options, print)
     return 0

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 from pipeline.campaigns.options import add_sample_options, add_until_options
 from pipeline.record.options import add_folder_options, add_machine_options
-from pipeline.scene.arguments import options_of
-from pipeline.scene.options import add_scene_options
-from pipeline.scene.parser import OneSentenceParser
-from pipeline.scene.scene_file import take_scene_file
+from pipeline.scene.command.arguments import options_of
+from pipeline.scene.command.options import add_scene_options
+from pipeline.scene.command.parser import OneSentenceParser
+from pipeline.scene.command.scene_file import take_scene_file
 
 if TYPE_CHECKING:
     from pipeline.campaigns.until import Wanted
@@ -52,7 +52,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 
 def scene_of(options: argparse.Namespace) -> Scene:
     """The scene as the options say it, a spacing of `auto` not yet chosen."""
-    from pipeline.scene.options import scene_from_options
+    from pipeline.scene.command.options import scene_from_options
 
     return scene_from_options(options)
 

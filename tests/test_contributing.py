@@ -10,7 +10,7 @@ import pytest
 
 from peri.corrosion import kinetics
 from peri.corrosion.laws import INTERFACE_LAWS
-from pipeline.scene import rate_law
+from pipeline.scene.laws import rate_law
 from tests.peri.corrosion.test_laws import check_law, check_slows
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -50,7 +50,7 @@ def test_names_and_choices_are_read_without_the_compiled_solvers():
     """numba takes a second to import, which no `--help` should wait for."""
     code = (
         "import sys, peri.corrosion.kinetics, peri.corrosion.laws, peri.corrosion.choices\n"
-        "import peri.engine.omission, peri.omissions.names, pipeline.scene.options\n"
+        "import peri.engine.omission, peri.omissions.names, pipeline.scene.command.options\n"
         "print([m for m in ('numba', 'scipy', 'h5py') if m in sys.modules])"
     )
     done = subprocess.run(

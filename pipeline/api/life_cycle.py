@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pipeline.run import add_run_options, carry_out, resolved, scene_of
-from pipeline.scene.arguments import arguments_of, options_of, unknown_name
-from pipeline.scene.parser import OneSentenceParser
+from pipeline.scene.command.arguments import arguments_of, options_of, unknown_name
+from pipeline.scene.command.parser import OneSentenceParser
 
 if TYPE_CHECKING:
     from pipeline.api.results import Results

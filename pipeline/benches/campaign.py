@@ -15,8 +15,8 @@ from pipeline.calibration.models import Implant, ReducedModel, constants
 from pipeline.calibration.writing import begun_from, write_calibration
 from pipeline.campaigns.campaign import STORE_FOLDER, read_campaign, run_campaign
 from pipeline.campaigns.engines import local
-from pipeline.scene.options import add_scene_options, scene_from_options
-from pipeline.scene.parser import OneSentenceParser
+from pipeline.scene.command.options import add_scene_options, scene_from_options
+from pipeline.scene.command.parser import OneSentenceParser
 from pipeline.scene.scene import Scene
 
 WEEKS = np.array([1, 2, 3, 4, 8]) * 604800.0

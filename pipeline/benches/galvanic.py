@@ -12,7 +12,7 @@ from peri.engine.lattice import Lattice
 from peri.transport.potential.electrostatics import Electrode, PotentialProblem
 from perilife_data import load_electrode
 from pipeline.benches.result import Result
-from pipeline.scene.polarization import polarization_law
+from pipeline.scene.laws.polarization import polarization_law
 from pipeline.scenes.couples import ae44_scene
 
 DAY = 86400.0

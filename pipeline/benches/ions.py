@@ -20,7 +20,7 @@ from peri.engine.lattice import ball, box_lattice, cylinder
 from peri.engine.march.marching import TimeStepping, march
 from peri.transport.nernst_planck import TransportOptions
 from pipeline.benches.result import Result
-from pipeline.scene.ions import resolve_ions
+from pipeline.scene.laws.ions import resolve_ions
 from pipeline.stages.ions import medium_of
 
 STEP = 3 * 3600.0

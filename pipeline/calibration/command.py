@@ -8,7 +8,7 @@ from concurrent.futures import Executor
 from contextlib import ExitStack
 from pathlib import Path
 
-from pipeline.scene.ions import MODELS
+from pipeline.scene.laws.ions import MODELS
 
 JSON_FILE = "calibration.json"
 
@@ -50,7 +50,7 @@ def run_calibrate(options: argparse.Namespace, say: Callable[[str], None]) -> No
         profile_lines,
         write_calibration,
     )
-    from pipeline.scene.options import scene_from_options
+    from pipeline.scene.command.options import scene_from_options
     from pipeline.scene.units import parse_time
 
     if len(options.alloy) != 1:

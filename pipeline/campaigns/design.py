@@ -37,7 +37,7 @@ from pipeline.life_cycle import LifeCycle
 from pipeline.record.machine import processor_cores
 from pipeline.record.progress import Progress
 from pipeline.record.run_folder import StageRecord, write_text
-from pipeline.scene.options import scene_from_options
+from pipeline.scene.command.options import scene_from_options
 from pipeline.scene.scene import Scene, SceneError
 from pipeline.scene.units import parse_time
 from pipeline.stages.opening import open_run

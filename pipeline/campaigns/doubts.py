@@ -20,7 +20,7 @@ from pipeline.life_cycle import LifeCycle
 from pipeline.record.doubts import Next, Source
 from pipeline.record.progress import Progress
 from pipeline.record.run_folder import RunFolder, RunFolderError
-from pipeline.scene.hardening import with_hardening
+from pipeline.scene.laws.hardening import with_hardening
 from pipeline.scene.loads import LOADS
 from pipeline.scene.scene import Scene
 from pipeline.scene.units import format_length

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.campaigns.options import COATING, LENGTHS
-from pipeline.scene.coating import CoatingScene, read_coating
-from pipeline.scene.options import add_scene_options
+from pipeline.scene.command.options import add_scene_options
+from pipeline.scene.laws.coating import CoatingScene, read_coating
 from pipeline.scene.units import format_length, parse_length, parse_time
 
 GRID = 5

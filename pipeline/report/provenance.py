@@ -14,8 +14,8 @@ import perilife_data
 from fem.constitutive.hardening import fit_voce
 from perilife_data import Quantity, Reference
 from perilife_data.references import read_references
+from pipeline.scene.laws.rate_law import read_kinetics
 from pipeline.scene.loads import LOADS
-from pipeline.scene.rate_law import read_kinetics
 from pipeline.scene.scene import AlloyScene, Scene
 
 logger = logging.getLogger(__name__)

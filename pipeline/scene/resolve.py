@@ -10,8 +10,8 @@ from fem.constitutive.hardening import fit_voce
 from perilife_data import OwnCorrosion
 from pipeline.scene import holding
 from pipeline.scene.classes import AUTO, with_classes
-from pipeline.scene.ions import IonSettings
-from pipeline.scene.rate_law import read_kinetics
+from pipeline.scene.laws.ions import IonSettings
+from pipeline.scene.laws.rate_law import read_kinetics
 from pipeline.scene.resolution import Resolution, resolution
 from pipeline.scene.scene import (
     AlloyScene,
@@ -71,7 +71,7 @@ def resolve_scene(
     none is given; corrosion, tensile: fields of CorrosionSettings and TensileScene that differ
     from their defaults, the latter for all ways of holding ("auto" classes: scene.classes);
     measured_volume_loss: CSV file per alloy, plotted beside the result; ions: the medium
-    (pipeline.scene.ions) where the model is nnpp.
+    (pipeline.scene.laws.ions) where the model is nnpp.
 
     Raises ValueError or FileNotFoundError with one sentence for whatever cannot be computed.
     """

@@ -22,11 +22,11 @@ from peri.omissions.names import OMITTABLE
 from perilife_data import did_you_mean
 from perilife_data.limits import LARGEST_YIELD_STRAIN
 from pipeline.scene.checks import SceneError, at_most, check, one_of, positive
-from pipeline.scene.coating import CoatingScene
 from pipeline.scene.image import ImageFile
-from pipeline.scene.ions import IonSettings
+from pipeline.scene.laws.coating import CoatingScene
+from pipeline.scene.laws.ions import IonSettings
+from pipeline.scene.laws.rate_law import read_kinetics
 from pipeline.scene.mechanics import HoldScene, MeshSettings, TensileScene
-from pipeline.scene.rate_law import read_kinetics
 from pipeline.scene.screw import ScrewParameters
 from pipeline.scene.units import ImmersionTime, format_length
 
@@ -107,7 +107,7 @@ class DomainSettings:
 class CorrosionSettings:
     """How the bi-material model is solved: law of a bond, time stepping, saturation, constants.
 
-    kinetics: how the rate changes, NAME or NAME:number=value,... (pipeline.scene.rate_law).
+    kinetics: how the rate changes, NAME or NAME:number=value,... (pipeline.scene.laws.rate_law).
     dissolution: what a bond between metal and liquid carries (peri.corrosion.scene).
     step: fixed time step (s); None lets rate_change control it
     (peri.engine.march.marching.TimeStepping).

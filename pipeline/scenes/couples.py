@@ -14,7 +14,7 @@ from peri.engine.lattice import Lattice
 from peri.engine.results import Field, axes_of
 from peri.transport.potential.polarization import LinearPolarization
 from perilife_data import common_reference, load_electrode
-from pipeline.scene.polarization import polarization_law
+from pipeline.scene.laws.polarization import polarization_law
 from pipeline.scenes.outcome import Curve, Outcome, Panel, Prepared, Value
 
 CONDUCTIVITY = 2.5

@@ -18,7 +18,7 @@ from peri.engine.lattice import box_lattice
 from peri.engine.results import Field, axes_of
 from peri.transport.potential.polarization import Insulated, Polarization
 from perilife_data import load_alloy, load_electrode, load_parameter_set
-from pipeline.scene.polarization import polarization_law
+from pipeline.scene.laws.polarization import polarization_law
 from pipeline.scenes.outcome import Curve, Outcome, Panel, Prepared, Value
 
 if TYPE_CHECKING:

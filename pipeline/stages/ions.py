@@ -31,8 +31,8 @@ from peri.transport.chemistry.activity import check_strength
 from peri.transport.chemistry.speciation import Solution, speciate
 from peri.transport.chemistry.species import Chemistry
 from peri.transport.nernst_planck import TransportOptions
-from pipeline.scene.feedback import FeedbackSettings
-from pipeline.scene.ions import IonSettings
+from pipeline.scene.laws.feedback import FeedbackSettings
+from pipeline.scene.laws.ions import IonSettings
 
 logger = logging.getLogger(__name__)
 

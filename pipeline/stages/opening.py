@@ -8,8 +8,8 @@ from pathlib import Path
 
 from pipeline.record.run_folder import SCENE_FILE, RunFolder, RunFolderError, write_json
 from pipeline.record.stage_hashes import geometry_hash, pull_hash
+from pipeline.scene.command.scene_file import read_stored
 from pipeline.scene.scene import Scene
-from pipeline.scene.scene_file import read_stored
 
 
 @contextmanager

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from pipeline.record.summary import read_summary
-from pipeline.scene.options import add_scene_options, scene_from_options
+from pipeline.scene.command.options import add_scene_options, scene_from_options
 from pipeline.stages.corrosion import CHECKPOINT_FILE, corrode_in_folder
 from pipeline.stages.geometry import write_geometry
 

@@ -3,7 +3,7 @@
 import argparse
 
 from pipeline.cli import main
-from pipeline.scene.options import add_scene_options, scene_from_options
+from pipeline.scene.command.options import add_scene_options, scene_from_options
 
 PIN = ["--thread", "none"]  # a plain pin: its solid takes a tenth of a second
 COARSE = ["--spacing", "300um", "--horizon", "600um", "--radial-margin", "1mm"]

@@ -20,8 +20,8 @@ from pipeline.cli import main, sentence
 from pipeline.record import interruption
 from pipeline.record.run_folder import RunFolder
 from pipeline.report import provenance
-from pipeline.scene.options import add_scene_options, scene_from_options
-from pipeline.scene.rate_law import KINETICS
+from pipeline.scene.command.options import add_scene_options, scene_from_options
+from pipeline.scene.laws.rate_law import KINETICS
 from pipeline.scene.scene import DISSOLUTION_LAWS, OMITTABLE, scene_from_json
 from pipeline.stages import corrosion as corrosion_stage
 from tests.pipeline.command_line import COARSE, SCENE, changed, refused

@@ -13,7 +13,7 @@ import pipeline
 from pipeline import LifeCycle
 from pipeline.api.life_cycle import read_keywords
 from pipeline.cli import build_parser
-from pipeline.scene.arguments import options_of
+from pipeline.scene.command.arguments import options_of
 from tests.pipeline.command_line import scene_of, typed
 
 ROOT = Path(__file__).resolve().parents[3]

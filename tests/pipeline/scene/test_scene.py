@@ -14,11 +14,11 @@ from pipeline.record.stage_hashes import (
     map_hash,
     pull_hash,
 )
+from pipeline.scene.command.options import add_scene_options, scene_from_options
 from pipeline.scene.holding import HOLDINGS
+from pipeline.scene.laws.rate_law import KINETICS
 from pipeline.scene.loads import LOADS
 from pipeline.scene.mechanics import DAMAGE_UPDATES
-from pipeline.scene.options import add_scene_options, scene_from_options
-from pipeline.scene.rate_law import KINETICS
 from pipeline.scene.resolve import resolve_scene
 from pipeline.scene.scene import (
     AlloyScene,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from peri.engine.march.checkpoints import write_checkpoint
-from pipeline.scene.options import add_scene_options, scene_from_options
+from pipeline.scene.command.options import add_scene_options, scene_from_options
 from pipeline.stages import corrosion as corrosion_stage
 from pipeline.stages.corrosion import (
     CHECKPOINT_FILE,

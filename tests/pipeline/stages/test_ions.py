@@ -15,8 +15,8 @@ from peri.engine.lattice import box_lattice, cylinder
 from peri.engine.march.marching import TimeStepping
 from pipeline.record.run_results import AlloyResult
 from pipeline.report.ions import ion_section
-from pipeline.scene.ions import IonSettings, resolve_ions
-from pipeline.scene.options import add_scene_options, scene_from_options
+from pipeline.scene.command.options import add_scene_options, scene_from_options
+from pipeline.scene.laws.ions import IonSettings, resolve_ions
 from pipeline.scene.resolve import resolve_scene
 from pipeline.scene.scene import DomainSettings, SceneError, scene_from_json
 from pipeline.stages.ions import corrode_with_ions, ion_numbers, medium_of, write

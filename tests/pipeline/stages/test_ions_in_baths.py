@@ -9,9 +9,9 @@ import pytest
 import perilife_data
 from peri.engine.march.marching import TimeStepping
 from peri.engine.omission import Omission
-from pipeline.scene.feedback import FeedbackSettings
-from pipeline.scene.ions import resolve_ions
-from pipeline.scene.options import add_scene_options, scene_from_options
+from pipeline.scene.command.options import add_scene_options, scene_from_options
+from pipeline.scene.laws.feedback import FeedbackSettings
+from pipeline.scene.laws.ions import resolve_ions
 from pipeline.scene.resolve import resolve_scene
 from pipeline.scene.scene import scene_from_json
 from pipeline.stages.ions import corrode_with_ions, ion_numbers, medium_of, plan_ions, problem_of

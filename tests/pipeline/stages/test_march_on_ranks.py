@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.cli import main
-from pipeline.scene.ions import resolve_ions
+from pipeline.scene.laws.ions import resolve_ions
 from pipeline.scene.resolve import resolve_scene
 from pipeline.scene.scene import SceneError
 from pipeline.stages.march_on_ranks import MarchError, check_ranks, corrode_on_ranks

@@ -12,9 +12,9 @@ from pipeline import LifeCycle
 from pipeline.cli import build_parser, main
 from pipeline.record.stage_hashes import corrosion_hash, geometry_hash, map_hash, pull_hash
 from pipeline.run import every_option, scene_of
-from pipeline.scene.arguments import keyword, options_of
+from pipeline.scene.command.arguments import keyword, options_of
+from pipeline.scene.command.scene_file import tables_of
 from pipeline.scene.scene import Scene
-from pipeline.scene.scene_file import tables_of
 from tests.pipeline.command_line import refused, typed
 
 OPTIONS = [

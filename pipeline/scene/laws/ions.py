@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import perilife_data
-from pipeline.scene.feedback import FeedbackSettings
+from pipeline.scene.laws.feedback import FeedbackSettings
 
 MODELS = ("bi-material", "nnpp")
 DEFAULT_MEDIUM = "simulated-body-fluid"

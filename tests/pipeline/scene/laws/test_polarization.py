@@ -7,7 +7,7 @@ import pytest
 
 import perilife_data
 from peri.corrosion.polarization import POLARIZATION
-from pipeline.scene.polarization import polarization_law
+from pipeline.scene.laws.polarization import polarization_law
 
 NUMBERS = {
     "exchange_current_density": (0.3, "A/m^2"),

@@ -9,8 +9,8 @@ from pipeline.calibration.models import Implant, ReducedModel, constants, march
 from pipeline.cli import build_parser, main
 from pipeline.record.stage_hashes import corrosion_hash
 from pipeline.report.provenance import parameter_rows, settings
-from pipeline.scene.coating import CoatingScene, read_coating
-from pipeline.scene.options import scene_from_options
+from pipeline.scene.command.options import scene_from_options
+from pipeline.scene.laws.coating import CoatingScene, read_coating
 from pipeline.scene.resolve import resolve_scene
 from pipeline.scene.scene import scene_from_json
 from tests.pipeline.calibration.test_calibrate import ACTING, COARSE, WEEK, WEEKS

@@ -22,8 +22,8 @@ from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 
 from perilife_data import did_you_mean
-from pipeline.scene.arguments import arguments_of, keyword, options_of, unknown_name
-from pipeline.scene.parser import OneSentenceParser
+from pipeline.scene.command.arguments import arguments_of, keyword, options_of, unknown_name
+from pipeline.scene.command.parser import OneSentenceParser
 from pipeline.scene.scene import Scene, SceneError, scene_from_json
 
 KINDS = ("life-cycle",)

@@ -5,8 +5,8 @@ import pytest
 from pipeline.cli import build_parser
 from pipeline.record.stage_hashes import corrosion_hash, map_hash, pull_hash
 from pipeline.report.provenance import parameter_rows
-from pipeline.scene.hardening import with_hardening
-from pipeline.scene.options import scene_from_options
+from pipeline.scene.command.options import scene_from_options
+from pipeline.scene.laws.hardening import with_hardening
 from pipeline.scene.resolve import resolve_scene
 from pipeline.scene.scene import SceneError, scene_from_json
 

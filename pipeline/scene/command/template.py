@@ -12,10 +12,10 @@ import textwrap
 from collections.abc import Callable, Mapping
 from dataclasses import fields
 
-from pipeline.scene.arguments import SI_UNIT, options_of
-from pipeline.scene.ions import DEFAULT_MEDIUM, resolve_ions
+from pipeline.scene.command.arguments import SI_UNIT, options_of
+from pipeline.scene.command.scene_file import KINDS, tables_of
+from pipeline.scene.laws.ions import DEFAULT_MEDIUM, resolve_ions
 from pipeline.scene.resolve import resolve_scene
-from pipeline.scene.scene_file import KINDS, tables_of
 from pipeline.scene.units import format_length
 
 WIDTH = 88

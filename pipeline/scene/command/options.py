@@ -7,11 +7,11 @@ from pathlib import Path
 
 from peri.engine.omission import DEFAULT_TOLERANCE
 from pipeline.scene.classes import read_classes
-from pipeline.scene.coating import read_coating
-from pipeline.scene.feedback import read_feedback
 from pipeline.scene.holding import ALL as HOLDS
 from pipeline.scene.image import ImageFile, add_image_options, content_of, image_from_options
-from pipeline.scene.ions import (
+from pipeline.scene.laws.coating import read_coating
+from pipeline.scene.laws.feedback import read_feedback
+from pipeline.scene.laws.ions import (
     ACTIVITIES,
     CLOSURES,
     DEFAULT_MEDIUM,
@@ -21,9 +21,9 @@ from pipeline.scene.ions import (
     IonSettings,
     resolve_ions,
 )
+from pipeline.scene.laws.rate_law import kinetics_in_words
 from pipeline.scene.loads import LOADS
 from pipeline.scene.mechanics import DAMAGE_UPDATES, ELEMENTS, LATERAL
-from pipeline.scene.rate_law import kinetics_in_words
 from pipeline.scene.resolution import RESOLUTIONS
 from pipeline.scene.scene import (
     BOUNDARIES,
@@ -286,7 +286,7 @@ def scene_from_options(options: argparse.Namespace) -> Scene:
         ions=_ions(options),
     )
     if options.hardening:
-        from pipeline.scene.hardening import with_hardening
+        from pipeline.scene.laws.hardening import with_hardening
 
         scene = with_hardening(scene, options.hardening)
     if options.kinetics is not None:
@@ -308,7 +308,7 @@ def scene_from_options(options: argparse.Namespace) -> Scene:
 
 def _stored_scene(options: argparse.Namespace) -> Scene:
     """The resolved scene that the options name, beside which no option of a scene may be given."""
-    from pipeline.scene.scene_file import read_stored
+    from pipeline.scene.command.scene_file import read_stored
 
     parser = argparse.ArgumentParser(add_help=False)
     add_scene_options(parser)

@@ -11,7 +11,7 @@ from perilife_data import did_you_mean
 class OneSentenceParser(argparse.ArgumentParser):
     """A parser that refuses in one sentence, without repeating the usage.
 
-    expand: turns the arguments into those that are parsed (pipeline.scene.scene_file).
+    expand: turns the arguments into those that are parsed (pipeline.scene.command.scene_file).
     """
 
     expand: Callable[[list[str]], list[str]] | None = None

@@ -1,0 +1,1 @@
+"""What a person types: options, scene files and their template, read into a scene."""

@@ -1,0 +1,1 @@
+"""Laws that a scene names: of the rate, its coating and feedback, hardening, polarization, ions."""
