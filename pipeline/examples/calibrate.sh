@@ -1,6 +1,6 @@
 #!/bin/sh
 # From measured volume losses to constants, and from these to bands of the strength left.
-# Cost: two minutes of processor time.
+# Cost: three minutes of processor time.
 set -e
 measured="$(dirname "$0")/measured.csv"
 
