@@ -96,9 +96,10 @@ BELOW = {
         "liquid": set(),
         "mixing": set(),
         "fluxes": set(),
+        "permittivity": set(),
         "potential": set(),
         "chemistry": {"liquid"},
-        "nernst_planck": {"chemistry", "fluxes", "liquid", "mixing"},
+        "nernst_planck": {"chemistry", "fluxes", "liquid", "permittivity", "mixing"},
         "stored": {"chemistry", "liquid", "mixing", "nernst_planck"},
     },
     "pipeline": {

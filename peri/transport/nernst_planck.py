@@ -32,19 +32,17 @@ from peri.transport.chemistry.speciation import Solution
 from peri.transport.chemistry.species import LN10, MOLAR
 from peri.transport.fluxes import FLUX_FORMS, LARGEST_SQRA_STEP, largest_bond_step, migration
 from peri.transport.liquid import LiquidSpace, LiquidState
+from peri.transport.permittivity import permittivity_of_water
 
 log = logging.getLogger(__name__)
 
 CLOSURES = ("electroneutral", "poisson", "as_published", "none")
-VACUUM_PERMITTIVITY = 8.8541878128e-12
-"""F/m, CODATA 2018."""
-
-RELATIVE_PERMITTIVITY = {298.15: 78.4, 310.15: 74.2}
 PUBLISHED_CONDUCTIVITY = 6.1e6
 """S/m, Tables 3.7 and 5.4 of the dissertation; that of a metal, kept for `as_published`."""
 
 _MAXIMUM_SWEEPS = 60
 _MAXIMUM_HALVINGS = 8
+_TOO_LITTLE = "the liquid holds too little salt for this release"
 _RESOLVED = 1e-11
 """Share of its largest change below which a component that the medium lacks counts as absent."""
 
@@ -347,7 +345,7 @@ class QuasiSteadyLiquid:
         published = self.options.closure == "as_published"
         permittivity = 0.0
         if self.options.closure == "poisson":
-            permittivity = VACUUM_PERMITTIVITY * _permittivity(chemistry.temperature)
+            permittivity = permittivity_of_water(chemistry.temperature)
         charge_scale = permittivity * thermal / FARADAY
         mobility = np.zeros(len(chemistry.components))
         for e, z, weight in self._groups:
@@ -385,8 +383,7 @@ class QuasiSteadyLiquid:
                 raise ConvergenceError(
                     f"potential: net charge {excess_now:.2g} of the ionic strength after {sweep} "
                     f"sweeps, {self.options.neutrality:g} wanted (the ions' fluxes change by "
-                    f"{residual:.2g}, {absolute:.2g} wanted); the liquid holds too little salt for "
-                    "this release"
+                    f"{residual:.2g}, {absolute:.2g} wanted); {_TOO_LITTLE}"
                 )
             tight = max(0.1 * absolute, 1e-4 * residual)
             before = state.migrated.copy()
@@ -397,8 +394,11 @@ class QuasiSteadyLiquid:
                     self.plain, space.volume * inflow[e], before[e] - mobility[e] * moved, tight
                 )
                 state.iterations += used
-            self._compose_between(state, before)
-            self._grow(state, there, step, absolute)
+            try:
+                self._compose_between(state, before)
+                self._grow(state, there, step, absolute)
+            except CompositionError as error:
+                raise CompositionError(f"potential: {error}; {_TOO_LITTLE}") from error
         largest = float(np.abs(chemistry.charge).max()) * largest_bond_step(
             space.spread(state.psi), space.all_volume, space.sum.reach
         )
@@ -492,8 +492,3 @@ class QuasiSteadyLiquid:
             (m.nu * self.space.total(r) for m, r in zip(self.minerals, state.rates, strict=True)),
             np.zeros(self.released.shape),
         )
-
-
-def _permittivity(temperature: float) -> float:
-    known = sorted(RELATIVE_PERMITTIVITY.items())
-    return float(np.interp(temperature, [t for t, _ in known], [v for _, v in known]))

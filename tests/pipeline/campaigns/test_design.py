@@ -73,7 +73,7 @@ def test_ranges_and_lists_are_read_and_change_their_option():
     assert read_vary("coating-lifetime=1w:8w") == Range("coating_lifetime", WEEK, 8 * WEEK)
     assert read_vary("classes=0,3") == Choice("classes", ("0", "3"))
     options = options_of("--coating", "factor=0.1,lifetime=28d")
-    assert changed(options, "classes", "3").classes == 3
+    assert changed(options, "classes", "3").classes == "3"
     assert changed(options, "alloy", "Mg-10Gd").alloy == ["Mg-10Gd"]
     text = changed(options, "coating_lifetime", "336h").coating
     assert text == "factor=0.1,lifetime=1209600.0s" and options.coating != text
