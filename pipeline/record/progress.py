@@ -47,9 +47,10 @@ class Progress:
 def time_left(passed: float, fraction: float) -> str:
     """How long a piece of work will take that has done `fraction` in `passed` seconds, in words.
 
-    Nothing in the first second, and where nothing is done or left to do.
+    Nothing in the first second, before a tenth is done (a pull begins with small increments, and
+    most end long before the whole elongation), and where nothing is left to do.
     """
-    if passed < 1.0 or not 0.0 < fraction < 1.0:
+    if passed < 1.0 or not 0.1 <= fraction < 1.0:
         return ""
     return f"about {format_seconds(passed * (1.0 - fraction) / fraction)} left"
 
