@@ -7,6 +7,7 @@ classes where the liquid is given, and says how fast their life goes (columns.py
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from typing import ClassVar
 
 import numpy as np
@@ -18,7 +19,7 @@ from peri.corrosion.classes.volumes import Volumes
 Array = NDArray[np.float64]
 
 
-class Bonds:
+class Bonds(ABC):
     """Classes eliminated, for given saturation factors and right side; a law derives from it.
 
     theta : padded factors.  old : (n,) right side of the classes, mol/m^3.  tau : s.
@@ -56,9 +57,9 @@ class Bonds:
             return cells.pull
         return cells.nu * cells.near(cells.scatter(cells.volume * self.mu))
 
+    @abstractmethod
     def ageing(self, classes: Array) -> Array:
         """How fast the classes' life goes (columns.py), <= 0, 1/s."""
-        raise NotImplementedError
 
     def settle(self, liquid: Array, start: float) -> float:
         """V_L that agrees with the rate it causes, for given liquid; sets the rate."""
@@ -82,38 +83,38 @@ class Bonds:
         self.settled()
         return loss
 
+    @abstractmethod
     def draw(self, liquid: Array) -> None:
         """Take what the classes draw from the liquid."""
-        raise NotImplementedError
 
+    @abstractmethod
     def value(self) -> Array:
         """The classes, mol/m^3, for the rate and what was drawn last."""
-        raise NotImplementedError
 
+    @abstractmethod
     def settled(self) -> None:
         """Set what follows from the rate."""
-        raise NotImplementedError
 
     def classes(self, liquid: Array) -> Array:
         """The classes for liquid concentrations."""
         self.draw(liquid)
         return self.value()
 
+    @abstractmethod
     def arriving(self, classes: Array) -> Array:
         """What reaches liquid held at zero, theta = 1, per relative volume."""
-        raise NotImplementedError
 
+    @abstractmethod
     def offered(self, classes: Array, liquid: Array | float) -> Array:
         """Inflow of the free cells with theta = 1."""
-        raise NotImplementedError
 
     def through(self, liquid: Array) -> Array:
         """What liquid values send to each cell by way of the metal."""
         return np.zeros_like(liquid)
 
+    @abstractmethod
     def correct(self, classes: Array, change: Array, saturated: float) -> Array:
         """Classes after the flux of the active cells changed by `change` in theta."""
-        raise NotImplementedError
 
 
 class ProportionalBonds(Bonds):
