@@ -1,11 +1,11 @@
 """Metal and liquid in one march: bi-material corrosion with the ions, pH and minerals around it.
 
 Where the metal's kinetics does not read the liquid's composition, the metal is that of the
-bi-material problem, step by step and bit by bit; where it does (feedback.py), it reads the liquid
-as it was at the start of each step (first order in the step).  The liquid is at rest at every
-stage where that is bounded (it relaxes in minutes), else its content evolves, too: always in closed
-vessels.  Where the liquid is at rest, not read, and no mineral can form, nothing of it evolves and
-it is computed at the output times.
+bi-material problem, step by step and bit by bit; where it does (feedback.py), metal and liquid of
+every stage are brought in line with each other, so that the order in the step is that of the
+method.  The liquid is at rest at every stage where that is bounded (it relaxes in minutes), else
+its content evolves, too: always in closed vessels.  Where the liquid is at rest, not read, and no
+mineral can form, nothing of it evolves and it is computed at the output times.
 
 A metal node that turns liquid still holds metal (less than C_sat).  That rest is no ion: it goes
 on dissolving as Mg2+ + 2 OH- + H2, with the time constant REST_TIME, and the node's pore is filled
@@ -24,10 +24,11 @@ from peri.corrosion.nodes.problem import COLUMNS, CorrosionProblem
 from peri.corrosion.scene import CorrosionScene
 from peri.coupled.bath import Bath, BathLiquid
 from peri.coupled.booking import element_error
-from peri.coupled.feedback import OF_THE_LIQUID, beside_metal, medium_beside
+from peri.coupled.feedback import OF_THE_LIQUID, Agreement, beside_metal, medium_beside
+from peri.coupled.liquid_fields import LiquidFields
 from peri.coupled.surroundings import HYDROGEN_PER_METAL, Surroundings
 from peri.engine.march.checkpoints import fingerprint
-from peri.engine.march.problem import BoundsError, Fields, Stage, State
+from peri.engine.march.problem import Attempt, BoundsError, Fields, Stage, State
 from peri.engine.march.stepping import GAMMA
 from peri.transport.chemistry.composition import CompositionError
 from peri.transport.chemistry.speciation import Solution
@@ -43,11 +44,6 @@ STORAGE_LIMIT = 0.05
 """Bound of what a liquid at rest errs by (Degradation.storage_bound) above which its content is
 followed."""
 
-_LIQUID_FIELDS = (
-    "ln_component", "release", "extents", "migrated", "rates", "psi",
-)  # fmt: skip
-
-
 _LATTICE_FIELDS = ("minerals", "rest", "content", "bath")
 
 
@@ -57,7 +53,8 @@ class Degradation(CorrosionProblem):
     Fields of its states beside those of CorrosionProblem, while the liquid is followed: `minerals`
     (M, padded lattice), mol/m3 of liquid; `rest` (padded), mol/m3 of metal in nodes that turned
     liquid; `liquid_...`, the scalar fields of the LiquidState, which later solutions start from;
-    with storage `content` (E, padded), mol/m3, totals of the components.
+    with storage `content` (E, padded), mol/m3, totals of the components; `seen_...` (padded box),
+    what the metal's kinetics read of the liquid in the last stage.
 
     Parameters
     ----------
@@ -88,7 +85,9 @@ class Degradation(CorrosionProblem):
         bath: Bath | None = None,
     ) -> None:
         super().__init__(scene, solver_tolerance, given=OF_THE_LIQUID)
-        self._reads = scene.needs & OF_THE_LIQUID
+        reads = scene.needs & OF_THE_LIQUID if self.discrete.box is not None else ()
+        self._reads = tuple(sorted(reads))
+        self.of_the_box = (*self.of_the_box, *(f"seen_{name}" for name in self._reads))
         self.discrete.surface |= medium_beside(medium)
         self.medium, self.options = medium, options or TransportOptions()
         self._surroundings: Surroundings | None = None
@@ -142,6 +141,11 @@ class Degradation(CorrosionProblem):
             self._surroundings = Surroundings(self.discrete, self.medium, self.options, self.stores)
         return self._surroundings
 
+    @property
+    def on_nodes(self) -> LiquidFields:
+        """The fields of a state on the liquid's nodes."""
+        return LiquidFields(self.surroundings)
+
     def _must_store(self) -> bool:
         """Whether a liquid at rest would err by too much, or has no state at all."""
         if not self.discrete.fixed.any():
@@ -190,7 +194,7 @@ class Degradation(CorrosionProblem):
             self._hold(state.fields["bath"])
         if self.stores or (self.follows_minerals and state.time > 0):
             # As the last stage left it: its minerals' rates are those of that stage.
-            return self._read(state.fields)
+            return self.on_nodes.read(state.fields)
         return self.surroundings.liquid.solve(self._source(state), minerals=self.follows_minerals)
 
     def _source(self, state: State) -> np.ndarray:
@@ -199,48 +203,23 @@ class Degradation(CorrosionProblem):
             state.fields["concentration"], state.fields.get("theta"), state.numbers["volume_loss"]
         )
         rest = state.fields.get("rest")
-        return source if rest is None else source + self._at(rest) / REST_TIME
-
-    def _read(self, fields: Fields) -> LiquidState:
-        around = self.surroundings
-        state = around.liquid.rest()
-        for name in _LIQUID_FIELDS:
-            setattr(state, name, fields[f"liquid_{name}"].copy())
-        state.active = [row > 0 for row in fields["liquid_active"]]
-        liquid = around.liquid
-        state.concentration = liquid.composer.concentrations(state.ln_component, liquid.b)
-        state.net_charge = liquid.chemistry.charge @ state.concentration
-        return state
-
-    def _write(self, state: LiquidState) -> Fields:
-        fields = {f"liquid_{name}": getattr(state, name) for name in _LIQUID_FIELDS}
-        rows = np.array(state.active, float).reshape(len(state.active), self.surroundings.space.n)
-        return {**fields, "liquid_active": rows}
-
-    def _at(self, field: np.ndarray) -> np.ndarray:
-        """(..., n) on the liquid's nodes from padded fields (..., lattice)."""
-        lead = field.shape[: field.ndim - self.discrete.metal.ndim]
-        return field.reshape(*lead, self.discrete.metal.size)[..., self.surroundings.space.index]
-
-    def _put(self, field: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """A copy of padded fields with the values of the liquid's nodes replaced."""
-        new = field.copy()
-        lead = field.shape[: field.ndim - self.discrete.metal.ndim]
-        new.reshape(*lead, self.discrete.metal.size)[..., self.surroundings.space.index] = values
-        return new
+        return source if rest is None else source + self.on_nodes.at(rest) / REST_TIME
 
     # --- states ---------------------------------------------------------------------------
 
     def initial(self) -> State:
         """Solid metal in the medium, no minerals."""
         state = super().initial()
+        for name in self._reads:
+            medium = float(self.discrete.surface[name])
+            state.fields[f"seen_{name}"] = np.full(self.discrete.box.padded_shape, medium)
         if self.follows_minerals:
             count = len(self.medium.chemistry.minerals)
             shape = self.discrete.sum.padded_shape
             state.fields["minerals"] = np.zeros((count, *shape))
             state.fields["rest"] = np.zeros(shape)
             liquid = self.surroundings.liquid.rest()
-            state.fields |= self._write(liquid)
+            state.fields |= self.on_nodes.write(liquid)
         names = self.medium.chemistry.components
         if self.bath is not None:
             state.fields["bath"] = self.bath.fresh.copy()
@@ -249,7 +228,7 @@ class Degradation(CorrosionProblem):
         if self.stores:
             totals = self.medium.chemistry.stoichiometry.T @ liquid.concentration
             empty = np.zeros((len(totals), *shape))
-            state.fields["content"] = self._put(empty, totals)
+            state.fields["content"] = self.on_nodes.put(empty, totals)
             state.numbers |= {
                 f"given_{n}": self.surroundings.space.total(t)
                 for n, t in zip(names, totals, strict=True)
@@ -283,11 +262,11 @@ class Degradation(CorrosionProblem):
         if not self.follows_minerals:
             self._surroundings = None
             return
-        older, liquid = self.surroundings, self._read(state.fields)
-        totals = self._at(state.fields["content"]) if self.stores else None
+        older, liquid = self.surroundings, self.on_nodes.read(state.fields)
+        totals = self.on_nodes.at(state.fields["content"]) if self.stores else None
         self._surroundings = None
         around = self.surroundings
-        state.fields |= self._write(around.carried_over(liquid, older))
+        state.fields |= self.on_nodes.write(around.carried_over(liquid, older))
         new = self.discrete.sum.pad(np.ones(self.scene.lattice.shape)) > 0
         new &= before & ~self.discrete.metal
         rest = np.where(new, state.fields["concentration"], 0.0)
@@ -295,7 +274,7 @@ class Degradation(CorrosionProblem):
         if totals is not None:
             fresh = ~np.isin(around.space.index, older.space.index)
             moved = around.moved(totals, older)
-            state.fields["content"] = self._put(state.fields["content"], moved)
+            state.fields["content"] = self.on_nodes.put(state.fields["content"], moved)
             for name, row in zip(self.medium.chemistry.components, moved, strict=True):
                 state.numbers[f"given_{name}"] += around.space.total(np.where(fresh, row, 0.0))
 
@@ -304,9 +283,17 @@ class Degradation(CorrosionProblem):
         super().begin(state)
         if self.bath is not None and self.bath.bath.due(state.time):
             state.fields["bath"] = self.bath.fresh.copy()
-        if self._reads and state.time > 0:
-            self._tell_surface(state)
         self._at_start = state.fields.get("minerals")
+
+    def change(self, attempt: Attempt) -> float:
+        """Relative change of the rates of metal and minerals (LiquidFields.change)."""
+        change = super().change(attempt)
+        if not self.follows_minerals:
+            return change
+        before, after = attempt.old.fields["concentration"], attempt.stages[-1].fields
+        metal, capacity = self.discrete.metal, self.discrete.capacity
+        lost = float((capacity * (before - after["concentration"]))[metal].sum())
+        return max(change, self.on_nodes.change(attempt, lost))
 
     def bounded(self, fields: Fields) -> Fields:
         """Concentrations of the metal's march from 0 to C_solid."""
@@ -318,13 +305,41 @@ class Degradation(CorrosionProblem):
             return False
         return super().continues(first, right)
 
+    def _surround(self, state: State) -> None:
+        """Tell the kinetics what a state says of the liquid beside the metal."""
+        super()._surround(state)
+        for name in self._reads:
+            if f"seen_{name}" in state.fields:
+                self.discrete.surface[name] = state.fields[f"seen_{name}"]
+
     def stage(self, old: Fields, tau: float, guess: State) -> Stage:
+        """Metal and liquid that agree: what the metal reads is the liquid that it makes."""
+        if not self._reads:
+            return self._joined(old, tau, guess)
+        agreement = Agreement(self.discrete, {n: guess.fields[f"seen_{n}"] for n in self._reads})
+        iterations = 0
+        while True:
+            seen = {f"seen_{name}": values for name, values in agreement.seen.items()}
+            fields = {**guess.fields, **seen}
+            stage = self._joined(old, tau, State(guess.time, fields, guess.numbers))
+            stage.fields |= seen
+            iterations += stage.iterations
+            around, liquid = self.surroundings, self.on_nodes.read(stage.fields)
+            found = beside_metal(around, liquid, self.on_nodes.at(stage.fields["minerals"]))
+            if agreement.with_(found, stage.numbers["volume_loss"]):
+                stage.iterations = iterations
+                return stage
+            guess = State(
+                guess.time, {**fields, **stage.fields}, {**guess.numbers, **stage.numbers}
+            )
+
+    def _joined(self, old: Fields, tau: float, guess: State) -> Stage:
         """The metal's stage, then liquid and minerals for what it releases, solved as one."""
         stage = super().stage(old, tau, guess)
         if not self.follows_minerals:
             return stage
-        around = self.surroundings
-        rest = self._put(old["rest"], self._at(old["rest"]) / (1.0 + tau / REST_TIME))
+        around, nodes = self.surroundings, self.on_nodes
+        rest = nodes.put(old["rest"], nodes.at(old["rest"]) / (1.0 + tau / REST_TIME))
         stage.fields["rest"] = rest
         source = self._source(State(guess.time, stage.fields, stage.numbers))
         held, span = old["minerals"], tau
@@ -332,16 +347,16 @@ class Degradation(CorrosionProblem):
             # The second stage of a step in which a mineral vanishes: this one field is taken from
             # the start of the step at first order, which is positive; the metal keeps its order.
             held, span = self._at_start, tau / GAMMA
-        amounts = self._at(held)
+        amounts = nodes.at(held)
 
         def solve(start: LiquidState) -> LiquidState:
             if isinstance(around.liquid, StoredLiquid):
-                content = self._at(old["content"])
+                content = nodes.at(old["content"])
                 return around.liquid.advance(source, content, tau, start, amounts)
             return around.liquid.solve(source, start, amounts, span)
 
         try:
-            start = self._read(guess.fields)
+            start = nodes.read(guess.fields)
             if self.bath is None:
                 liquid = solve(start)
             else:
@@ -351,8 +366,8 @@ class Degradation(CorrosionProblem):
         except CompositionError as error:
             raise BoundsError(str(error)) from error
         if isinstance(around.liquid, StoredLiquid):
-            totals = around.liquid.conserved(liquid, source, self._at(old["content"]), tau)
-            stage.fields["content"] = self._put(old["content"], totals)
+            totals = around.liquid.conserved(liquid, source, nodes.at(old["content"]), tau)
+            stage.fields["content"] = nodes.put(old["content"], totals)
         if self.stores or self.bath is not None:
             left = around.liquid.leaving(liquid)
             names = self.medium.chemistry.components
@@ -360,16 +375,9 @@ class Degradation(CorrosionProblem):
             stage.rates["taken"] = around.space.total(source)
         grown = amounts + span * liquid.rates
         grown[liquid.rates == -amounts / span] = 0.0  # all of it is gone, to the last digit
-        stage.fields |= {"minerals": self._put(held, grown), **self._write(liquid)}
+        stage.fields |= {"minerals": nodes.put(held, grown), **nodes.write(liquid)}
         stage.iterations += liquid.iterations
         return stage
-
-    def _tell_surface(self, state: State) -> None:
-        """What the metal's kinetics reads of the liquid, as it was at the start of the step."""
-        around = self.surroundings
-        found = self.liquid_at(state)
-        amounts = self._at(state.fields["minerals"])
-        self.discrete.surface |= beside_metal(around, found, amounts)
 
     # --- the bath -------------------------------------------------------------------------
 
@@ -388,8 +396,8 @@ class Degradation(CorrosionProblem):
         if not self.follows_minerals:
             return row
         around = self.surroundings
-        ph = around.liquid.ph(self._read(state.fields)).max(initial=-np.inf)
-        amounts = self._at(state.fields["minerals"])
+        ph = around.liquid.ph(self.on_nodes.read(state.fields)).max(initial=-np.inf)
+        amounts = self.on_nodes.at(state.fields["minerals"])
         row = (*row, float(ph), *(around.space.total(a) for a in amounts))
         if self.bath is not None:
             row = (*row, float(self._hold(state.fields["bath"]).ph[0]))
@@ -400,17 +408,19 @@ class Degradation(CorrosionProblem):
         """Metal that has become ions, mol: neither metal nor rest of a node that turned liquid."""
         lost = max(state.numbers["initial"] - metal, 0.0)
         rest = state.fields.get("rest")
-        return lost if rest is None else lost - self.surroundings.space.total(self._at(rest))
+        if rest is None:
+            return lost
+        return lost - self.surroundings.space.total(self.on_nodes.at(rest))
 
     def _element_error(self, state: State) -> float:
         """See booking.element_error."""
         around, fields = self.surroundings, state.fields
         held = np.zeros((len(self.medium.chemistry.components), around.space.n))
         if self.stores and state.numbers["dissolved"]:
-            held = self._at(fields["content"])  # new pores have no composition yet
+            held = self.on_nodes.at(fields["content"])  # new pores have no composition yet
         elif self.stores:
-            held = self.medium.chemistry.stoichiometry.T @ self._read(fields).concentration
-        amounts = self._at(fields["minerals"])
+            held = self.medium.chemistry.stoichiometry.T @ self.on_nodes.read(fields).concentration
+        amounts = self.on_nodes.at(fields["minerals"])
         return element_error(around.liquid, held, amounts, state.numbers, self.stores)
 
     def snapshot(self, state: State) -> dict[str, np.ndarray | float]:
@@ -424,6 +434,7 @@ class Degradation(CorrosionProblem):
         """
         around = self.surroundings
         liquid, space = around.liquid, around.space
+        self._surround(state)
         found = self.liquid_at(state)
         source = self._source(state)
         concentration = liquid.neutral_concentration(found)
@@ -440,7 +451,7 @@ class Degradation(CorrosionProblem):
         )
         amounts = np.zeros((len(self.medium.chemistry.minerals), space.n))
         if self.follows_minerals:
-            amounts = self._at(state.fields["minerals"])
+            amounts = self.on_nodes.at(state.fields["minerals"])
         out["minerals"] = np.array([space.crop(a, 0.0) for a in amounts], np.float32).reshape(
             len(amounts), *space.sum.lattice_shape
         )

@@ -4,9 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
+from peri.corrosion.nodes.bimaterial import BiMaterial
 from peri.coupled.surroundings import Surroundings
+from peri.engine.solvers import ConvergenceError
 from peri.transport.chemistry.speciation import Solution
 from peri.transport.liquid import LiquidState
+from peri.transport.mixing import Mixing
+
+AGREED = 1e-7
+"""Largest difference of a node's rate by what was read and by what is there, of the fastest
+node's: far below the error of a controlled step (1e-3)."""
+
+_ROUNDS = 40
 
 OF_THE_LIQUID = frozenset({"ph", "chloride", "magnesium", "layer"})
 """Quantities of peri.corrosion.kinetics.Exposed that come from here."""
@@ -67,3 +76,71 @@ def beside_metal(
         thickness += mineral.molar_volume * amount * width
     found["layer"] = mean(thickness, 0.0)
     return found
+
+
+class Agreement:
+    """Rounds until the liquid that the metal reads is the one that its release makes.
+
+    discrete : the metal;  seen : what its kinetics reads, by name, padded box arrays to begin with.
+
+    A liquid that resists change (the pH of one without a buffer follows the release at once) makes
+    the plain rounds diverge, so they are mixed; a mixture below zero is not taken.
+    """
+
+    def __init__(self, discrete: BiMaterial, seen: dict[str, np.ndarray]) -> None:
+        self.discrete, self.seen = discrete, seen
+        self._sees = discrete.box_metal & (discrete.box_neighbour_liquid > 0)
+        self._mixing = Mixing()
+        self._rounds = 0
+
+    def with_(self, found: dict[str, np.ndarray | float], volume_loss: float) -> bool:
+        """Whether the metal's rates are those by `found`; else `seen` is moved towards it.
+
+        Raises ConvergenceError after too many rounds.
+        """
+        there = {n: np.broadcast_to(found[n], self._sees.shape) for n in self.seen}
+        before, after = (self._rates(values, volume_loss) for values in (self.seen, there))
+        apart = float(np.abs(after - before).max(initial=0.0))
+        if apart <= AGREED * float(np.abs(after).max(initial=0.0)):
+            return True
+        self._rounds += 1
+        if self._rounds >= _ROUNDS:
+            raise ConvergenceError(
+                f"kinetics: the rate by what the metal reads of the liquid still changes by "
+                f"{apart / float(np.abs(after).max()):.2g} after {_ROUNDS} rounds; a shorter step "
+                "will do"
+            )
+        self.seen = self._mixed(there)
+        return False
+
+    def _rates(self, seen: dict[str, np.ndarray], volume_loss: float) -> np.ndarray:
+        """Share of every node that sees liquid."""
+        self.discrete.surface |= seen
+        share = self.discrete.interface_rate(volume_loss)[1]
+        return np.asarray(share)[self._sees]
+
+    def _mixed(self, there: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        scale = {n: _scale(n, values[self._sees]) for n, values in there.items()}
+        old, new = (
+            np.concatenate([values[n][self._sees] / scale[n] for n in self.seen])
+            for values in (self.seen, there)
+        )
+        mixed = self._mixing.next(old, new)
+        parts = dict(zip(self.seen, np.split(mixed, len(self.seen)), strict=True))
+        if any((parts[n] < 0).any() for n in parts if n in _POSITIVE):
+            self._mixing = Mixing()
+            return {n: values.copy() for n, values in there.items()}
+        out = {}
+        for n, values in there.items():
+            out[n] = values.copy()
+            out[n][self._sees] = scale[n] * parts[n]
+        return out
+
+
+_POSITIVE = frozenset({"chloride", "magnesium", "layer"})
+
+
+def _scale(name: str, values: np.ndarray) -> float:
+    """What counts as much as one unit of pH: all of an amount."""
+    largest = float(np.abs(values).max(initial=0.0))
+    return largest if name in _POSITIVE and largest > 0 else 1.0

@@ -143,7 +143,7 @@ def test_no_concentration_is_clipped_anywhere() -> None:
     found = [
         f"{path.name}: {line.strip()}"
         for folder in ("transport", "coupled")
-        for path in (ROOT / "peri" / folder).glob("*.py")
+        for path in (ROOT / "peri" / folder).rglob("*.py")
         for line in path.read_text(encoding="utf-8").splitlines()
         if re.search(r"\bclip\(|maximum\([^)]*concentration|concentration[^=]*\.clip", line)
     ]

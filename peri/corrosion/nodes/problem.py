@@ -14,9 +14,6 @@ from peri.engine.march.checkpoints import fingerprint
 from peri.engine.march.problem import Attempt, Fields, FirstOrder, Stage, State
 from peri.engine.processes import ONE_PROCESS, OneProcess
 
-_OF_THE_BOX = ("theta", "exposed")
-"""Fields that live on the box around the metal."""
-
 COLUMNS = {
     "volume_loss": "1",
     "metal_amount": "mol",
@@ -54,6 +51,8 @@ class CorrosionProblem(FirstOrder):
 
     columns = COLUMNS
     evolved = ("concentration",)
+    of_the_box: tuple[str, ...] = ("theta", "exposed")
+    """Fields that live on the box around the metal."""
 
     def __init__(
         self,
@@ -119,7 +118,7 @@ class CorrosionProblem(FirstOrder):
 
     def pack(self, name: str, values: np.ndarray) -> np.ndarray:
         """The whole lattice's field on the root."""
-        if name in _OF_THE_BOX:
+        if name in self.of_the_box:
             values = self.discrete.put(values)
         return self.processes.gather(self.discrete.sum.crop(values))
 
@@ -128,7 +127,7 @@ class CorrosionProblem(FirstOrder):
         values = self.discrete.sum.pad(self.processes.scatter(stored))
         if name == "metal":
             return values > 0
-        return self.discrete.take(values) if name in _OF_THE_BOX else values
+        return self.discrete.take(values) if name in self.of_the_box else values
 
     def accept(self, state: State, stages: Sequence[Stage], step: float) -> None:
         """Metal that is used up turns liquid."""

@@ -138,6 +138,17 @@ def test_second_order_in_time_while_no_mineral_vanishes() -> None:
     assert (errors[-1] / values[-1] < [2e-4, 5e-4, 2e-5]).all()
 
 
+def test_controlled_steps_follow_the_minerals_too() -> None:
+    scene, liquid = pin(2e-5), medium("nacl", ("brucite",))
+    joined = march(Degradation(scene, liquid, BARE), [WEEK], TimeStepping(rate_change=0.2))
+    # Most of the brucite that there ever is, and V_L, with 322 steps (rate_change=0.005): 4.3546e-7
+    # mol and 0.26165.  Measured 4e-5 and 7e-4 with 15 steps; controlled by the metal alone, 8 steps
+    # were off by 0.19 and 4e-3.
+    assert joined.history["brucite_amount"].max() == pytest.approx(4.3546e-7, rel=1e-3)
+    assert joined.history["volume_loss"][-1] == pytest.approx(0.26165, rel=2e-3)
+    assert len(joined.history["time"]) < 25
+
+
 def test_nodes_that_turn_liquid_join_the_liquid() -> None:
     scene = pin(2e-5, saturation=20000.0, kinetics=VolumeLossLaw(2.0))
     problem = Degradation(scene, medium("nacl", ("brucite",)), BARE)

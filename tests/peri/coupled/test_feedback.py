@@ -25,7 +25,7 @@ def test_what_a_node_sees_lies_between_medium_and_surface() -> None:
     problem, done = marched(LiquidFactors(ConstantRate(), 0.2, 7.5))
     around, state = problem.surroundings, done.state
     found = problem.liquid_at(state)
-    seen = beside_metal(around, found, problem._at(state.fields["minerals"]))
+    seen = beside_metal(around, found, problem.on_nodes.at(state.fields["minerals"]))
     metal = around.discrete.box_metal & (around.discrete.box_neighbour_liquid > 0)
     ph = around.liquid.ph(found)
     assert (seen["ph"][metal] > float(problem.medium.ph[0])).all()
@@ -48,12 +48,32 @@ def test_a_rising_ph_slows_the_metal_by_its_order() -> None:
     assert 1 - losses[0] / bare == pytest.approx(0.25 * (1 - losses[1] / bare), rel=0.35)
 
 
-@pytest.mark.slow
-def test_reading_the_liquid_is_first_order_in_the_step() -> None:
+def test_reading_the_liquid_is_second_order_in_the_step() -> None:
     law = LiquidFactors(ConstantRate(), 2.0, float(medium("sbf").ph[0]))
-    loss = [marched(law, steps=n)[1].history["volume_loss"][-1] for n in (2, 4, 8, 32)]
-    errors = np.abs(np.array(loss[:-1]) / loss[-1] - 1)
-    assert (errors[:-1] / errors[1:] > 1.6).all() and errors[-1] < 0.03
+    found = []
+    for steps in (1, 2, 4, 16):
+        history = marched(law, steps=steps)[1].history
+        found.append([history["volume_loss"][-1], history["highest_ph"][-1]])
+    values = np.array(found)
+    errors = np.abs(values[:-1] / values[-1] - 1)
+    orders = np.log2(errors[:-1] / errors[1:])
+    # Measured 2.02 and 2.04 (V_L and pH alike); errors with 4 steps 3.3e-5 and 2.6e-8 (as 3.4e-9
+    # of pH); pH is higher by 0.04 to 0.11 beside the metal, and slows it by 17 % on the whole.
+    assert (orders > 1.8).all() and (orders < 2.2).all()
+    assert (errors[-1] < [1e-4, 1e-7]).all()
+
+
+def test_a_liquid_without_a_buffer_settles_with_the_metal() -> None:
+    # pH rises by 1 per decade of the rate, so that plain rounds would diverge for n > 1.
+    order, reference = 2.0, 6.811
+    problem, done = marched(LiquidFactors(ConstantRate(), order, reference), "nacl", steps=2)
+    state = done.state
+    found = problem.liquid_at(state)
+    seen = beside_metal(problem.surroundings, found, np.zeros((0, found.psi.size)))["ph"]
+    metal = problem.discrete.box_metal & (problem.discrete.box_neighbour_liquid > 0)
+    assert seen[metal].min() > reference + 0.5
+    rates = [10.0 ** (-order * v[metal]) for v in (seen, state.fields["seen_ph"])]
+    assert np.abs(rates[1] - rates[0]).max() <= 1e-7 * rates[0].max()
 
 
 @pytest.mark.slow

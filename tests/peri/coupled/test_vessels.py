@@ -102,7 +102,7 @@ def test_the_rest_of_a_node_dissolves_and_its_pore_is_filled(storage: bool) -> N
     done = march(problem, [4 * DAY], TimeStepping("sdirk2", step=0.25 * DAY))
     history, state = done.history, done.state
     assert history["dissolved_nodes"].sum() > 0
-    rest = problem._at(state.fields["rest"])
+    rest = problem.on_nodes.at(state.fields["rest"])
     assert rest.max() > 10.0 and rest.min() >= 0
     lost = history["metal_amount"][0] - history["metal_amount"][-1]
     held = problem.surroundings.space.total(rest)

@@ -1,0 +1,69 @@
+"""The liquid of a march: what its nodes hold as padded fields of the march's state, and back."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from peri.coupled.surroundings import Surroundings
+from peri.engine.march.problem import Attempt, Fields
+from peri.transport.liquid import LiquidState
+
+TRACE = 0.01
+"""Of what the metal loses in a step: minerals that change by less do not shorten it."""
+
+_SCALARS = ("ln_component", "release", "extents", "migrated", "rates", "psi")
+
+
+class LiquidFields:
+    """Fields of a state on the nodes of the liquid around the metal."""
+
+    def __init__(self, around: Surroundings) -> None:
+        self.around = around
+
+    def at(self, field: np.ndarray) -> np.ndarray:
+        """(..., n) on the liquid's nodes from padded fields (..., lattice)."""
+        metal = self.around.discrete.metal
+        lead = field.shape[: field.ndim - metal.ndim]
+        return field.reshape(*lead, metal.size)[..., self.around.space.index]
+
+    def put(self, field: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """A copy of padded fields with the values of the liquid's nodes replaced."""
+        new, metal = field.copy(), self.around.discrete.metal
+        lead = field.shape[: field.ndim - metal.ndim]
+        new.reshape(*lead, metal.size)[..., self.around.space.index] = values
+        return new
+
+    def read(self, fields: Fields) -> LiquidState:
+        """The liquid that `write` put into a state's fields."""
+        liquid = self.around.liquid
+        state = liquid.rest()
+        for name in _SCALARS:
+            setattr(state, name, fields[f"liquid_{name}"].copy())
+        state.active = [row > 0 for row in fields["liquid_active"]]
+        state.concentration = liquid.composer.concentrations(state.ln_component, liquid.b)
+        state.net_charge = liquid.chemistry.charge @ state.concentration
+        return state
+
+    def write(self, state: LiquidState) -> Fields:
+        """Fields `liquid_...` that later solutions start from."""
+        fields = {f"liquid_{name}": getattr(state, name) for name in _SCALARS}
+        rows = np.array(state.active, float).reshape(len(state.active), self.around.space.n)
+        return {**fields, "liquid_active": rows}
+
+    def change(self, attempt: Attempt, lost: float) -> float:
+        """Difference of each mineral's change from the expected one, over that change.
+
+        lost : what the metal loses in the step, mol/m3 times cells.  A mineral that takes or gives
+        less than TRACE of it counts as if it took that much.
+        """
+        volume, worst = self.around.space.volume, 0.0
+        before, after, expected = (
+            self.at(fields["minerals"])
+            for fields in (attempt.old.fields, attempt.stages[-1].fields, attempt.expected)
+        )
+        for mine, foretold in zip(after - before, expected, strict=True):
+            scale = max(float(volume @ np.abs(mine)), TRACE * lost)
+            if scale > 0:
+                off = float(volume @ np.abs(mine - foretold))
+                worst = max(worst, attempt.share * off / scale)
+        return worst
