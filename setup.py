@@ -19,6 +19,7 @@ FILES = {
     "peri": ["py.typed"],
     "pipeline.report": ["templates/*"],
     "pipeline.scene": ["*.toml"],
+    "pipeline.scenes": ["shipped/*.toml"],
 }
 """What else than Python lies in a package."""
 

@@ -25,6 +25,8 @@ UNITS: dict[str, dict[str, float]] = {
     "temperature": {"K": 1.0, "degC": 1.0},
     "electric potential": {"V": 1.0, "mV": 1e-3},
     "current density": {"A/m^2": 1.0, "mA/cm^2": 10.0, "uA/cm^2": 1e-2},
+    "conductivity": {"S/m": 1.0, "mS/cm": 0.1},
+    "resistance of a surface": {"ohm m^2": 1.0, "ohm cm^2": 1e-4},
 }
 """Dimension -> unit -> factor to the SI unit, which is the first of each row."""
 

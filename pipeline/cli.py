@@ -28,7 +28,7 @@ from pipeline.run import add_init_options, add_run_options, every_option, fittin
 from pipeline.scene.command.alloy_command import add_alloy_options
 from pipeline.scene.command.options import add_scene_options
 from pipeline.scene.command.parser import OneSentenceParser
-from pipeline.scene.command.scene_file import take_scene_file
+from pipeline.scene.command.scene_file import KINDS, localised_kind, take_scene_file
 from pipeline.scenes.command import add_scenes_options
 from pipeline.studies.command import add_study_options
 
@@ -88,7 +88,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_scene_options(plan)
     add_machine_options(plan)
     _add_json_option(plan)
-    take_scene_file(plan, every_option)
+    take_scene_file(plan, every_option, localised=True)
     calibrate = add("calibrate", _calibrate, "constants from measured volume loss, with doubts")
     add_scene_options(calibrate, immersion=False)
     add_calibrate_options(calibrate)
@@ -181,6 +181,11 @@ def _interrupted(options: argparse.Namespace) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
+    if localised_kind(options.scene) is not None:
+        from pipeline.scenes.command import run_file
+
+        run_file(options, print)
+        return 0
     from pipeline.record.progress import progress_for
     from pipeline.run import carry_out, resolved, told
 
@@ -208,6 +213,11 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _init(options: argparse.Namespace) -> int:
+    if options.kind != KINDS[0]:
+        from pipeline.scenes.command import init_file
+
+        init_file(options, lambda text: print(text, end=""))
+        return 0
     from pipeline.scene.command.template import write_template
 
     print(write_template(every_option(), options), end="")
@@ -304,6 +314,11 @@ def _compare(options: argparse.Namespace) -> int:
 
 
 def _plan(options: argparse.Namespace) -> int:
+    if localised_kind(options.scene) is not None:
+        from pipeline.scenes.command import plan_file
+
+        plan_file(options, print)
+        return 0
     from pipeline.record.machine import check_counts
     from pipeline.stages.geometry import build_solid
     from pipeline.stages.plan import make_plan, print_plan

@@ -11,7 +11,7 @@ from pipeline.record.options import add_folder_options, add_machine_options
 from pipeline.scene.command.arguments import options_of
 from pipeline.scene.command.options import add_scene_options
 from pipeline.scene.command.parser import OneSentenceParser
-from pipeline.scene.command.scene_file import take_scene_file
+from pipeline.scene.command.scene_file import KINDS, take_scene_file
 
 if TYPE_CHECKING:
     from pipeline.campaigns.until import Wanted
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 def add_run_options(parser: OneSentenceParser) -> None:
     """Every option of `perilife run`, and the scene file that may give them."""
     _add_options(parser)
-    take_scene_file(parser, every_option)
+    take_scene_file(parser, every_option, localised=True)
 
 
 def every_option() -> argparse.ArgumentParser:
@@ -39,6 +39,14 @@ def add_init_options(parser: argparse.ArgumentParser) -> None:
     _add_options(parser)
     for action in options_of(parser).values():
         action.required = False
+    own = {name: action.default for name, action in options_of(parser).items()}
+    parser.set_defaults(defaults=own)
+    parser.add_argument(
+        "--kind",
+        default=KINDS[0],
+        metavar="KIND",
+        help=f"{', '.join(KINDS)}, or a name of `perilife scenes` ({KINDS[0]})",
+    )
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:

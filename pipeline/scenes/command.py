@@ -1,4 +1,4 @@
-"""The command `perilife scenes`: lists the scenes of localised corrosion, and runs one."""
+"""The command `perilife scenes`, and scene files of localised corrosion in `run` and `plan`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,15 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
 
+if TYPE_CHECKING:
+    from pipeline.record.run_folder import RunFolder
+    from pipeline.scenes.files import SceneFile
+
+OF_A_FILE = ("scene", "out", "quiet", "resume", "json", "spacing", "immersion")
+"""Options of `perilife run` that a scene of localised corrosion takes, too."""
 STAGE = "scene"
 CHECKPOINT = "march.h5"
 
@@ -26,70 +34,127 @@ def add_scenes_options(parser: argparse.ArgumentParser) -> None:
 
 def run_scenes(options: argparse.Namespace, say: Callable[[str], None]) -> None:
     """Do what the options ask; ValueError or OSError with one sentence where that cannot be."""
-    from pipeline.scenes.registry import SCENES, check_spacing, entry_of
+    from pipeline.scenes.files import read_scene
+    from pipeline.scenes.registry import path_of, shipped
 
     if options.name is None:
         given = [n for n in ("out", "spacing", "times") if getattr(options, n) is not None]
         if given:
             raise ValueError(f"--{given[0]} is of a scene; name one, `perilife scenes` lists them")
-        for name, entry in SCENES.items():
-            say(f"{name:22s} {entry.title}")
+        for name, path in shipped().items():
+            say(f"{name:24s} {read_scene(path).title}")
         return
-    entry = entry_of(options.name)
+    scene = read_scene(path_of(options.name)).changed(options.spacing, options.times)
     if options.out is None:
         raise ValueError(f"scene '{options.name}' writes a folder; say where with --out DIR")
-    times, labels = _times(options.times or list(entry.times))
-    spacing = _spacing(options.spacing)
-    check_spacing(options.name, spacing)
-    prepared = entry.prepare(spacing)
-    content = {
-        "scene": options.name,
-        "times_s": times,
-        "values": {n: asdict(v) for n, v in prepared.values.items()},
-    }
-    _run(options, prepared, content, labels, say)
+    _run(options, scene, options.out, say)
 
 
-def _times(texts: list[str]) -> tuple[list[float], list[str]]:
-    """Seconds, and the times as typed."""
-    from pipeline.scene.units import parse_immersion_times
+def run_file(options: argparse.Namespace, say: Callable[[str], None]) -> None:
+    """Run the scene file that `perilife run` was given; errors as `run_scenes`.
 
-    times = parse_immersion_times(texts)
-    if not times[-1].seconds > 0:
-        raise ValueError(f"--times is {texts[-1]}; the last must be above 0")
-    return [t.seconds for t in times], [t.label for t in times]
+    With `json` the folder and the table are said as one JSON object.
+    """
+    scene = _of_file(options)
+    out = options.out or scene.out
+    if out is None:
+        raise ValueError(f"scene '{scene.name}' writes a folder; say where with --out DIR")
+    if not options.json:
+        _run(options, scene, out, say)
+        return
+    folder = _run(options, scene, out, lambda line: None)
+    record = folder.read_record(folder.path, STAGE)
+    assert record is not None
+    found = {"folder": str(folder.path.absolute()), "summary": record.numbers}
+    say(json.dumps(found, indent=2))
 
 
-def _spacing(text: str | None) -> float | None:
-    from pipeline.scene.units import parse_length
+def plan_file(options: argparse.Namespace, say: Callable[[str], None]) -> None:
+    """What a scene file would compute and what not, with the bound of each omission."""
+    from rich.console import Console
+    from rich.table import Table
 
-    if text is None:
-        return None
-    return parse_length(text, "spacing")
+    scene = _of_file(options)
+    ready = scene.prepared()
+    omissions = ready.reductions(scene.times[-1].seconds)
+    if options.json:
+        rows = [asdict(o) for o in omissions]
+        for row in rows:
+            row["bound"] = row["bound"] if row["bound"] < float("inf") else None
+        say(json.dumps({"kind": scene.kind, "size": ready.size, "omissions": rows}, indent=2))
+        return
+    say(f"{scene.name} ({scene.kind}) to {scene.times[-1].label}: {ready.size}")
+    table = Table(title="What it need not compute")
+    for column in ("what", "left out", "why", "error"):
+        table.add_column(column)
+    for o in omissions:
+        error = f"at most {o.bound:.2g} of {o.of}" if o.bound < float("inf") else "no bound"
+        table.add_row(o.name, "yes" if o.applied else "no", o.reason, error)
+    Console(width=None if Console().is_terminal else 120).print(table)
+    if ready.assumed:
+        say(f"assumed: {', '.join(ready.assumed)}")
 
 
-def _run(options, prepared, content: dict, labels: list[str], say: Callable[[str], None]) -> None:
+def init_file(options: argparse.Namespace, say: Callable[[str], None]) -> None:
+    """Print a scene file with every key of its kind: that of a kind, or a shipped one by name."""
+    from perilife_data import did_you_mean
+    from pipeline.scenes.files import read_scene, write_template
+    from pipeline.scenes.registry import KINDS, path_of, shipped
+
+    _refuse_others(options)
+    kinds, name = {kind: entry.example for kind, entry in KINDS.items()}, options.kind
+    if name not in kinds and name not in shipped():
+        known = [*kinds, *shipped()]
+        raise ValueError(
+            f"--kind is '{name}'{did_you_mean(name, known)}; it must be life-cycle or one of "
+            f"{', '.join(known)}"
+        )
+    scene = read_scene(path_of(kinds.get(name, name))).changed(options.spacing, options.immersion)
+    say(write_template(scene, options.out))
+
+
+def _of_file(options: argparse.Namespace) -> SceneFile:
+    """The scene of `options.scene`, with what was typed; ValueError for an option it lacks."""
+    from pipeline.scenes.files import read_scene
+
+    _refuse_others(options)
+    scene = read_scene(Path(options.scene))
+    return scene.changed(options.spacing, getattr(options, "immersion", None))
+
+
+def _refuse_others(options: argparse.Namespace) -> None:
+    """Refuse what was typed and belongs to a life cycle."""
+    for name, default in options.defaults.items():
+        if name not in OF_A_FILE and getattr(options, name, default) != default:
+            raise ValueError(
+                f"--{name.replace('_', '-')} is of a life cycle; a scene of localised corrosion "
+                f"takes {', '.join(f'--{n}' for n in OF_A_FILE)}"
+            )
+
+
+def _run(
+    options: argparse.Namespace, scene: SceneFile, out: str, say: Callable[[str], None]
+) -> RunFolder:
     """March and write, in a locked folder."""
     from pipeline.record.machine import package_versions
     from pipeline.record.progress import progress_for
     from pipeline.record.run_folder import RunFolder, StageRecord, utc_now, write_json
+    from pipeline.scenes.files import to_json
     from pipeline.scenes.writing import PLOT_FILE, SUMMARY_FILE, write_outcome
 
+    prepared = scene.prepared()
+    content, times = to_json(scene, prepared), [time.seconds for time in scene.times]
     mark = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
-    folder = RunFolder(options.out)
+    folder = RunFolder(out)
     if folder.path.exists() and not folder.path.is_dir():
-        raise ValueError(f"--out is '{options.out}', which is a file; it must be a folder")
+        raise ValueError(f"--out is '{out}', which is a file; it must be a folder")
     if not folder.is_empty():
         if not options.resume:
-            raise ValueError(
-                f"folder '{options.out}' is not empty; go on with --resume or choose another"
-            )
+            raise ValueError(f"folder '{out}' is not empty; go on with --resume or choose another")
         if not _same(folder, content):
-            raise ValueError(
-                f"folder '{options.out}' is of another scene or other values; choose another"
-            )
+            raise ValueError(f"folder '{out}' is of another scene or other values; choose another")
     with folder.lock(), progress_for(sys.stderr, options.quiet) as progress:
-        checkpoint, key = folder.path / CHECKPOINT, options.name
+        checkpoint, key = folder.path / CHECKPOINT, scene.name
         done = folder.complete(folder.path, STAGE, mark)
         if done is not None:
             progress.reused(key)
@@ -99,12 +164,12 @@ def _run(options, prepared, content: dict, labels: list[str], say: Callable[[str
             started = time.perf_counter()
             progress.started(key)
             outcome = prepared.march(
-                content["times_s"],
+                times,
                 checkpoint=checkpoint,
                 resume=options.resume,
                 progress=lambda share, text: progress.advanced(key, share, text),
             )
-            paths = write_outcome(folder.path, options.name, outcome)
+            paths = write_outcome(folder.path, scene.name, outcome)
             seconds = time.perf_counter() - started
             numbers = {n: [v, unit] for n, (v, unit) in _finite(outcome.summary).items()}
             record = StageRecord(
@@ -119,15 +184,27 @@ def _run(options, prepared, content: dict, labels: list[str], say: Callable[[str
             folder.write_record(folder.path, record)
             checkpoint.unlink(missing_ok=True)
             progress.finished(key, seconds)
-    say(f"{options.name} after {labels[-1]}")
+    say(f"{scene.name} after {scene.times[-1].label}")
     for line in (folder.path / SUMMARY_FILE).read_text(encoding="utf-8").splitlines()[1:]:
         quantity, value, unit = line.rsplit(",", 2)
-        say(f"  {quantity.strip(chr(34)):42s} {float(value):.6g} {unit}".rstrip())
+        say(f"  {quantity.strip(chr(34)):42s} {in_words(float(value), unit)}")
     assumed = ", ".join(prepared.assumed)
     if assumed:
         say(f"assumed: {assumed}")
     say(f"table: {folder.path / SUMMARY_FILE}")
     say(f"plot:  {folder.path / PLOT_FILE}")
+    return folder
+
+
+def in_words(value: float, unit: str) -> str:
+    """A number of the summary for a reader: lengths in um or mm, areas in their squares."""
+    from pipeline.scene.units import format_length
+
+    if unit == "m":
+        return format_length(value)
+    if unit == "m2":
+        return f"{1e12 * value:.4g} um2" if abs(value) < 1e-7 else f"{1e6 * value:.4g} mm2"
+    return f"{value:.6g} {unit if unit != '1' else ''}".rstrip()
 
 
 def _finite(summary: dict) -> dict:

@@ -4,23 +4,48 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from peri.corrosion.polarization import PolarizationLaw
 from peri.coupled.galvanic import GalvanicResult, GalvanicScene, Metal, Renewal, corrode
 from peri.engine.lattice import Lattice
 from peri.engine.results import Field, axes_of
-from peri.transport.potential.polarization import LinearPolarization
+from peri.transport.potential.polarization import Insulated, Polarization
 from perilife_data import common_reference, load_electrode
 from pipeline.scene.laws.polarization import polarization_law
-from pipeline.scenes.outcome import Curve, Outcome, Panel, Prepared, Value
+from pipeline.scene.units import format_length
+from pipeline.scenes.bodies import body_solid, nodes_of, thinnest_gap
+from pipeline.scenes.keys import Given, Key, positive
+from pipeline.scenes.lattices import LATTICE_KEYS, horizon_of, lattice_between
+from pipeline.scenes.metals import LIQUID_KEYS, METAL_KEYS, Beside, conductivity, metals_of
+from pipeline.scenes.outcome import Curve, Outcome, Panel, Prepared
+
+if TYPE_CHECKING:
+    from pipeline.geometry.surface import Solid
 
 CONDUCTIVITY = 2.5
 ANODE_CONCENTRATION = 67860.0
 CHARGE_NUMBER = 2.0
 HORIZON = 0.4e-3
+KEYS: dict[str, Key] = {
+    **LATTICE_KEYS,
+    "lattice.low": Key("length", "lowest corner of the box", ["0mm", "0mm"], several=True),
+    "lattice.high": Key("length", "its highest corner", ["20mm", "15mm"], several=True),
+    **{f"liquid.{name}": key for name, key in LIQUID_KEYS.items()},
+    **{f"metals.*.{name}": key for name, key in METAL_KEYS.items()},
+    "time.travel": positive(
+        "dimensionless",
+        "how far the fastest surface recedes before the potential is renewed, in spacings (0.1)",
+        0.1,
+        at_most=1.0,
+    ),
+    "time.longest_step": positive("time", "of a step (none)", "6h"),
+}
+"""Keys of a couple's file."""
+_UNITS_OF_CURRENT = ("A/m2", "A/m", "A")
 _FIELD_UNITS = {
     "concentration": "mol/m3",
     "metal": "",
@@ -57,72 +82,93 @@ def ae44_scene(
     return GalvanicScene(lattice, horizon, metals, CONDUCTIVITY)
 
 
-def ae44(cathode: str, spacing: float | None) -> Prepared:
-    """The scene, ready to run."""
-    spacing = spacing or 0.1e-3
-    horizon = max(HORIZON, 2 * spacing)
-    scene = ae44_scene(cathode, spacing, horizon)
-    values = {
-        "lattice spacing": Value(spacing, "m", "zhao2021", "4", "published"),
-        "horizon": Value(horizon, "m", "zhao2021", "4", "published"),
-        "conductivity": Value(CONDUCTIVITY, "S/m", "zhao2021", "Table 4", "published"),
-        "concentration of AE44": Value(
-            ANODE_CONCENTRATION, "mol/m3", "zhao2021", "Table 4", "published"
-        ),
-        "charge number of AE44": Value(CHARGE_NUMBER, "1", "zhao2021", "Table 4", "published"),
-    }
-    for name in ("AE44", cathode):
-        for quantity, q in load_electrode(name).quantities().items():
-            where = f"{q.where} ({q.conditions})" if q.conditions else q.where
-            values[f"{name}: {quantity}"] = Value(q.si, "SI", q.source, where, q.kind)
-    return Prepared(values, functools.partial(_march, scene, 1))
+def build(
+    given: Given, insulated: bool = False, cathodes: float = 1.0
+) -> tuple[GalvanicScene, dict[str, Solid], Beside]:
+    """The scene that a file describes, the solids of its metals, the data that it uses.
+
+    insulated : no current enters the liquid anywhere.  cathodes : factor of the current of metals
+    that do not dissolve.
+
+    Raises ValueError for what does not fit, metals that overlap among it.
+    """
+    beside = Beside()
+    low = given["lattice.low"]
+    assert isinstance(low, list)
+    lattice = lattice_between(given, low, given.vector("lattice.high", len(low)))
+    horizon = horizon_of(given)
+    solids, nodes = {}, {}
+    for name in given.names("metals"):
+        solid = body_solid(given, f"metals.{name}", len(low))
+        nodes[name] = nodes_of(given, f"metals.{name}", lattice, solid)
+        if solid is not None:
+            solids[name] = solid
+    if not nodes:
+        raise ValueError(f"{given.file}: [metals.NAME] is missing; a couple has metals")
+    metals, _ = metals_of(given, nodes, beside)
+    kappa = conductivity(given, beside)
+    if insulated:
+        metals = tuple(replace(metal, law=Insulated()) for metal in metals)
+    if cathodes != 1.0:
+        metals = tuple(
+            metal if metal.solid_concentration else replace(metal, law=Scaled(metal.law, cathodes))
+            for metal in metals
+        )
+    return GalvanicScene(lattice, horizon, metals, kappa), solids, beside
 
 
-def slab(spacing: float | None) -> Prepared:
-    """Plates 0.1 m apart, one of which dissolves (Zhao et al. 2021, 3.1)."""
-    spacing = spacing or 1e-3
-    horizon = max(4e-3, 2 * spacing)
-    reach = round(horizon / spacing)
-    anode, liquid = round(20e-3 / spacing), round(0.1 / spacing)
-    x = np.arange(anode + liquid + reach + 1)
-    lattice = Lattice(((0.5 - anode) * spacing,), (spacing,), x.shape)
-    laws: list[PolarizationLaw | LinearPolarization] = [
-        LinearPolarization(rest, 1e-12) for rest in (0.1, 0.6)
-    ]
-    metals = (
-        Metal("anode", x < anode, laws[0], 143e3, 2.0),
-        Metal("cathode", x >= anode + liquid, laws[1]),
-    )
-    scene = GalvanicScene(lattice, horizon, metals, CONDUCTIVITY)
-    table = [
-        ("lattice spacing", spacing, "m"),
-        ("horizon", horizon, "m"),
-        ("conductivity", CONDUCTIVITY, "S/m"),
-        ("potential of the anode", 0.1, "V"),
-        ("potential of the cathode", 0.6, "V"),
-        ("concentration of the anode", 143e3, "mol/m3"),
-        ("charge number of the anode", 2.0, "1"),
-    ]
-    values = {n: Value(v, u, "zhao2021", "Table 1", "published") for n, v, u in table}
-    values["resistance of the plates"] = Value(
-        1e-12, "ohm m2", "", "held potentials as a limit", "assumed"
-    )
-    return Prepared(values, functools.partial(_march, scene, 0))
+def prepare(given: Given) -> Prepared:
+    """A couple in a file, ready to run."""
+    scene, _, beside = build(given)
+    gap = thinnest_gap(~scene.metal(), scene.lattice.spacing)
+    horizon = float(np.max(scene.horizon))
+    if gap < 2 * horizon * (1 - 1e-9):
+        raise ValueError(
+            f"{given.file}: lattice.horizon is {format_length(horizon)}, over half of the "
+            f"narrowest gap of {format_length(gap)}; it must be at most {format_length(0.5 * gap)}"
+        )
+    renewal = renewal_of(given)
+    given.left_over()
+    march = functools.partial(_march, scene, renewal)
+    return Prepared(given.values, march, beside.values)
+
+
+def renewal_of(given: Given) -> Renewal:
+    """How often the potential is renewed."""
+    travel = given.otherwise("time.travel", 0.1, "1", "0.1 spacings; see perilife study galvanic")
+    assert isinstance(travel, float)
+    longest = given.number("time.longest_step") if "time.longest_step" in given else np.inf
+    return Renewal(travel, longest)
+
+
+@dataclass(frozen=True)
+class Scaled:
+    """A law times a factor."""
+
+    law: Polarization
+    factor: float
+
+    def current(self, potential: np.ndarray) -> np.ndarray:
+        """A/m^2."""
+        return self.factor * self.law.current(potential)
+
+    def slope(self, potential: np.ndarray) -> np.ndarray:
+        """A/(m^2 V)."""
+        return self.factor * self.law.slope(potential)
 
 
 def _march(
     scene: GalvanicScene,
-    dissolves: int,
+    renewal: Renewal,
     times: Sequence[float],
     *,
     checkpoint: Path | None = None,
     resume: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> Outcome:
-    """March the couple; `dissolves`: number of the metal that does."""
-    result = corrode(
-        scene, times, Renewal(), checkpoint=checkpoint, resume=resume, progress=progress
-    )
+    """March the couple; the summary is of the first metal that dissolves."""
+    result = corrode(scene, times, renewal, checkpoint=checkpoint, resume=resume, progress=progress)
+    dissolves = next((n for n, m in enumerate(scene.metals) if m.solid_concentration), 0)
     lattice = scene.lattice
     on_lattice = ("time", *axes_of(lattice))
     fields = {"phase": Field(scene.phases(), "", axes_of(lattice))}
@@ -131,9 +177,9 @@ def _march(
     anode = scene.metals[dissolves]
     current = result.history[f"current_{anode.name}"]
     depths = result.depths()
-    across = lattice.dimension > 1
+    across = lattice.dimension == 2
     place = lattice.axis(0) if across else np.zeros(1)
-    unit = "A/m" if lattice.dimension == 2 else "A/m2"
+    unit = _UNITS_OF_CURRENT[lattice.dimension - 1]
     summary = {
         "current at the start": (float(current[0]), unit),
         "current at the end": (float(current[-1]), unit),
@@ -147,6 +193,10 @@ def _march(
             "of the currents",
         ),
     }
+    for metal in scene.metals:
+        if metal.solid_concentration:
+            left = result.fields["concentration"][-1][metal.nodes].mean()
+            summary[f"share of {metal.name} lost"] = (1 - left / metal.solid_concentration, "1")
     if across:
         worst = int(depths[-1].argmax())
         summary["place of the deepest"] = (float(place[worst]), "m")
@@ -172,8 +222,10 @@ def _panels(scene: GalvanicScene, result: GalvanicResult, dissolves: int) -> lis
         Curve(m.name, history["time"] / day, np.abs(history[f"current_{m.name}"]))
         for m in scene.metals
     ]
-    unit = "A/m" if scene.lattice.dimension == 2 else "A/m²"
+    unit = _UNITS_OF_CURRENT[scene.lattice.dimension - 1].replace("2", "²")
     panels = [Panel("Currents", "time / d", f"|I| / ({unit})", lines)]
+    if scene.lattice.dimension == 3:
+        return panels
     if scene.lattice.dimension == 1:
         depth = 1e3 * result.depths()
         curve = Curve("depth", result.times / day, depth)

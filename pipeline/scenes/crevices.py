@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,12 @@ from peri.engine.lattice import Lattice
 from peri.engine.march.marching import TimeStepping, march
 from peri.engine.results import Field
 from peri.omissions.thin_gap import COLUMNS, ThinGap, ThinGapProblem
-from pipeline.scenes.outcome import Curve, Outcome, Panel, Prepared, Value
+from pipeline.scene.units import format_length
+from pipeline.scenes.keys import TEXT, Given, Key, positive
+from pipeline.scenes.outcome import Curve, Outcome, Panel, Prepared
 
 LENGTH, MOST = 12.7e-3, 5600.0
+LAWS = ("acidity-625", "constant")
 PUBLISHED_DIFFUSIVITY_FACTOR, PUBLISHED_CURRENT_FACTOR = 0.2176, 7.57
 """What the printed lattice (25:1, m = 4) makes of the diffusivity along the crevice and of the
 interface's flux."""
@@ -46,30 +50,84 @@ def crevice_625(
     )
 
 
-def crevice(spacing: float | None, seed: float = 3e-3) -> Prepared:
-    """The scene, ready to run."""
-    spacing = spacing or 12.5e-6
-    nodes = max(2, round(LENGTH / spacing))
-    scene = crevice_625(seed, nodes)
-    table = [
-        ("length", LENGTH, "m", "published"),
-        ("gap at the mouth", 25e-6, "m", "published"),
-        ("gap at the closed end", 5e-6, "m", "published"),
-        ("diffusivity", scene.diffusivity, "m2/s", "published"),
-        ("concentration of the metal", scene.solid_concentration, "mol/m3", "published"),
-        ("saturation concentration", MOST, "mol/m3", "published"),
-    ]
-    values = {n: Value(v, u, "Jafarzadeh et al. 2022", "5", kind) for n, v, u, kind in table}
-    values |= {
-        "current by concentration": Value(
-            "Eqs 23 to 25, corrected", "", "Jafarzadeh et al. 2022", "5.1", "published"
-        ),
-        "charge number": Value(2.5, "1", "", "not printed; 2 to 3", "assumed"),
-        "length of the seed": Value(seed, "m", "", "0.5 mm printed; below 2 to 3 mm none ignites",
-                                    "assumed"),
-        "nodes": Value(nodes, "1", "", "", "assumed"),
-    }  # fmt: skip
-    return Prepared(values, functools.partial(_march, scene))
+KEYS: dict[str, Key] = {
+    "lattice.spacing": positive("length", "of the film equation's nodes along the gap", "12.5um"),
+    "geometry.length": positive("length", "from the mouth to the closed end", "12.7mm"),
+    "geometry.gap_at_mouth": positive("length", "width of the gap", "25um"),
+    "geometry.gap_at_end": positive("length", "width of the gap at the closed end", "5um"),
+    "geometry.seed": Key("length", "from the closed end, liquid that starts acid", "3mm",
+                         at_least=0.0),
+    "geometry.seed_concentration": positive(
+        "dimensionless", "of the seed, over C_sat (0.99)", 0.99, at_most=1.0
+    ),
+    "liquid.saturation_concentration": positive("concentration", "C_sat", "5600 mol/m^3"),
+    "liquid.diffusivity": positive("diffusivity", "of the metal's ions", "7.2e-10 m^2/s"),
+    "metal.solid_concentration": positive("concentration", "C_solid", "140000 mol/m^3"),
+    "metal.charge_number": positive("dimensionless", "z of its ions; no source prints one", 2.5),
+    "metal.law": Key(
+        TEXT, "acidity-625: current by the ions' concentration of alloy 625; constant", "constant",
+        allowed=LAWS,
+    ),
+    "metal.current_density": positive("current density", "of law constant", "1 A/m^2"),
+    "metal.current_factor": positive("dimensionless", "of law acidity-625 (1)", 1.0),
+}  # fmt: skip
+"""Keys of a crevice's file."""
+
+
+@dataclass(frozen=True)
+class ConstantCurrent:
+    """The same current density at any concentration, A/m^2."""
+
+    density: float
+
+    def current(self, concentration: np.ndarray) -> np.ndarray:
+        """A/m^2."""
+        return np.full(np.shape(concentration), self.density)
+
+    def slope(self, concentration: np.ndarray) -> np.ndarray:
+        """0."""
+        return np.zeros(np.shape(concentration))
+
+
+def _law(given: Given, most: float) -> AcidityLaw | ConstantCurrent:
+    if given.text("metal.law") == "constant":
+        return ConstantCurrent(given.number("metal.current_density"))
+    factor = given.otherwise("metal.current_factor", 1.0, "1", "as fitted")
+    try:
+        return AcidityLaw(most, factor=factor)  # type: ignore[arg-type]
+    except ValueError as error:
+        raise ValueError(f"{given.file}: liquid.{error}") from None
+
+
+def prepare(given: Given) -> Prepared:
+    """A crevice in a file, ready to run as a film.
+
+    Raises ValueError for what is missing or does not fit, and for more than 1e6 nodes.
+    """
+    length, spacing = given.number("geometry.length"), given.number("lattice.spacing")
+    if not 2 * spacing * (1 - 1e-9) <= length <= 1e6 * spacing:
+        raise ValueError(
+            f"{given.file}: lattice.spacing is {format_length(spacing)}; it must be from a "
+            f"millionth to half of the length of {format_length(length)}"
+        )
+    nodes = round(length / spacing)
+    place = (np.arange(nodes) + 0.5) / nodes
+    mouth, end = given.number("geometry.gap_at_mouth"), given.number("geometry.gap_at_end")
+    seed, most = given.number("geometry.seed"), given.number("liquid.saturation_concentration")
+    share = given.otherwise("geometry.seed_concentration", 0.99, "1", "0.99 of saturation")
+    scene = ThinGap(
+        length,
+        gap=mouth + (end - mouth) * place,
+        concentration=np.where(place * length > length - seed, share * most, 0.0),
+        law=_law(given, most),
+        charge_number=given.number("metal.charge_number"),
+        diffusivity=given.number("liquid.diffusivity"),
+        solid_concentration=given.number("metal.solid_concentration"),
+        saturation_concentration=most,
+    )
+    given.left_over()
+    size = f"{nodes:,} nodes along the gap"
+    return Prepared(given.values, functools.partial(_march, scene), size=size)
 
 
 def _march(
@@ -84,7 +142,7 @@ def _march(
         ThinGapProblem(scene), times, TimeStepping(rate_change=0.1),
         checkpoint=checkpoint, resume=resume, progress=progress,
     )  # fmt: skip
-    cell = LENGTH / scene.gap.size
+    cell = scene.length / scene.gap.size
     lattice = Lattice((0.5 * cell,), (cell,), scene.gap.shape)
     gap, concentration, speed = (
         np.array([out[name] for out in done.outputs]) for name in ("gap", "concentration", "speed")

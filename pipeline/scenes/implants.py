@@ -1,129 +1,156 @@
-"""A magnesium screw in a titanium plate: what coupling costs, in metal and in strength."""
+"""An implant and what it touches, from files or presets: what coupling costs, and in strength."""
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from peri.corrosion.kinetics import VolumeLossLaw
-from peri.corrosion.polarization import TafelCurve
-from peri.coupled.galvanic import GalvanicResult, GalvanicScene, Metal, Renewal, corrode, potential
-from peri.engine.constants import FARADAY
-from peri.engine.lattice import box_lattice
+from peri.coupled.galvanic import (
+    GalvanicResult,
+    GalvanicScene,
+    Renewal,
+    corrode,
+    potential,
+)
 from peri.engine.results import Field, axes_of
-from peri.transport.potential.polarization import Insulated, Polarization
-from perilife_data import load_alloy, load_electrode, load_parameter_set
-from pipeline.scene.laws.polarization import polarization_law
-from pipeline.scenes.outcome import Curve, Outcome, Panel, Prepared, Value
+from perilife_data import Alloy, load_alloy
+from pipeline.scene.units import format_length
+from pipeline.scenes import couples
+from pipeline.scenes.bodies import thinnest_gap
+from pipeline.scenes.keys import TEXT, Given, Key, positive
+from pipeline.scenes.outcome import Curve, Outcome, Panel, Prepared
 
 if TYPE_CHECKING:
     from pipeline.geometry.surface import Solid
 
-ALLOY, PARAMETERS, CHARGE_NUMBER = "Mg-5Gd", "table-5.1", 2.0
-SELF_FLUX = 1.85e-6
-"""mol/(m^2 s) of a fresh surface: what the published D_int amounts to on its own lattice."""
-CONDUCTIVITY, HORIZON = 1.7, 200e-6
-TITANIUM = TafelCurve(0.1, -0.15, -1.5)
-PLATE = (3.0e-3, 4.0e-3)
-"""Lower and upper face of the plate, m; the screw reaches from 0 to 4 mm, its slot on top."""
-CLEARANCE = 0.2e-3
-HEAD = PLATE[0] - HORIZON
-"""Height from which on metal counts as beside the plate, m."""
 WEEK = 604800.0
+KEYS: dict[str, Key] = {
+    **couples.KEYS,
+    "strength.metal": Key(TEXT, "which metal is pulled; left out: none", "screw"),
+    "strength.alloy": Key(TEXT, "its mechanics: a shipped alloy, or a TOML file", "Mg-5Gd"),
+    "strength.mesh_size": positive("length", "of its cells (0.3 mm)", "0.3mm"),
+    "strength.mesh_size_fine": positive("length", "at its surface (0.2 mm)", "0.2mm"),
+    "strength.grip": positive("length", "held at both ends (0.7 mm)", "0.7mm"),
+}
+"""Keys of an implant's file."""
 
 
 @dataclass(frozen=True)
 class Joint:
-    """The screw and the plate on one lattice.
+    """An implant beside other metals on one lattice.
 
-    coupled, insulated : the same metals with and without contact.  solid : the screw.
+    coupled, insulated : the same metals with and without contact.  implant : the number of the one
+    that dissolves.
     """
 
     coupled: GalvanicScene
     insulated: GalvanicScene
+    implant: int
+
+    def beside(self) -> np.ndarray:
+        """Nodes of the implant at the heights of the others, a horizon more on both sides; bool."""
+        scene = self.coupled
+        z = np.broadcast_to(scene.lattice.coordinates()[2], scene.lattice.shape)
+        own = scene.metals[self.implant].nodes
+        others = scene.metal() & ~own
+        reach = float(np.max(scene.horizon)) + 0.5 * scene.lattice.spacing[2]
+        return own & (z > z[others].min() - reach) & (z < z[others].max() + reach)
+
+
+@dataclass(frozen=True)
+class Pull:
+    """A tensile test: solid, where its origin is, its alloy, sizes of cells and held ends, m."""
+
     solid: Solid
+    at: tuple[float, ...]
+    alloy: Alloy
+    mesh_size: float
+    mesh_size_fine: float
+    grip: float
 
 
-def joint(
-    spacing: float = 100e-6,
-    factor: float = 1.0,
-    clearance: float = CLEARANCE,
-    plate_radius: float = np.inf,
-) -> Joint:
-    """Screw of 2 x 4 mm in a plate of 6 x 6 x 1 mm in body fluid.
+def prepare(given: Given) -> Prepared:
+    """An implant and its neighbours in a file, ready to run.
 
-    factor : of the titanium's current.  clearance : between screw and plate, m.  plate_radius :
-    m, where the plate ends before the edge of the box.
+    Raises ValueError for what does not fit, metals that overlap among it.
     """
-    from pipeline.geometry.solids import ScrewParameters, screw_solid
-    from pipeline.geometry.voxels import check_resolution, metal_fraction
-
-    solid = screw_solid(ScrewParameters(pitch=0.4e-3))
-    check_resolution(solid, spacing)
-    lattice = box_lattice((-3e-3, -3e-3, -0.5e-3), (3e-3, 3e-3, 5e-3), spacing)
-    screw, _ = metal_fraction(solid, lattice.origin, lattice.spacing, lattice.shape)
-    x, y, z = lattice.coordinates()
-    radius = np.hypot(x, y)
-    plate = (z > PLATE[0]) & (z < PLATE[1]) & (radius > 1e-3 + clearance)
-    plate = np.ascontiguousarray(plate & (radius < plate_radius) & ~screw)
-    constants = load_parameter_set(PARAMETERS).alloys[ALLOY]
-
-    def scene(anode: Polarization, cathode: Polarization) -> GalvanicScene:
-        metals = (
-            Metal(
-                "screw", screw, anode, constants.solid_concentration.si, CHARGE_NUMBER,
-                self_corrosion=CHARGE_NUMBER * FARADAY * SELF_FLUX,
-                kinetics=VolumeLossLaw(constants.volume_loss_scale.si),
-            ),
-            Metal("plate", plate, cathode),
-        )  # fmt: skip
-        return GalvanicScene(lattice, max(HORIZON, spacing), metals, CONDUCTIVITY)
-
-    titanium = TafelCurve(
-        factor * TITANIUM.current_density, TITANIUM.tafel_slope, TITANIUM.standard_potential
+    coupled, solids, beside = couples.build(given)
+    if coupled.lattice.dimension != 3:
+        raise ValueError(
+            f"{given.file}: lattice.low has {coupled.lattice.dimension} entries; an implant has 3"
+        )
+    dissolving = [n for n, metal in enumerate(coupled.metals) if metal.solid_concentration]
+    if len(dissolving) != 1 or len(coupled.metals) < 2:
+        raise ValueError(
+            f"{given.file}: {len(dissolving)} of {len(coupled.metals)} metals dissolve; it must be "
+            "one, beside others that do not"
+        )
+    made = Joint(coupled, couples.build(given, insulated=True)[0], dissolving[0])
+    pull = _pull(given, coupled.metals[dissolving[0]].name, solids, beside)
+    renewal = couples.renewal_of(given)
+    sensitivities = _sensitivities(given)
+    given.left_over()
+    march = functools.partial(_march, made, pull, renewal, sensitivities)
+    gap = thinnest_gap(~coupled.metal(), coupled.lattice.spacing)
+    size = (
+        f"{coupled.metal().size:,} nodes, twice; narrowest gap {format_length(gap)}, horizon "
+        f"{format_length(float(np.max(coupled.horizon)))}"
     )
-    magnesium = polarization_law(load_electrode("AE44"))
-    return Joint(scene(magnesium, titanium), scene(Insulated(), Insulated()), solid)
+    return Prepared(given.values, march, beside.values, size=size)
 
 
-def screw_in_plate(spacing: float | None) -> Prepared:
-    """The scene, ready to run."""
-    spacing = spacing or 100e-6
-    made = joint(spacing)
-    table = load_parameter_set(PARAMETERS).alloys[ALLOY]
-    values = {
-        "concentration of the screw": Value(
-            table.solid_concentration.si, "mol/m3", "hermann2024", "Table 5.1", "published"
-        ),
-        "l of its volume loss": Value(
-            table.volume_loss_scale.si, "1", "hermann2024", "Table 5.1", "published"
-        ),
-        "self-corrosion of a fresh surface": Value(
-            SELF_FLUX, "mol/(m2 s)", "hermann2024", "Table 5.1, D_int on its lattice", "derived"
-        ),
-        "polarization of the screw": Value(
-            "AE44 in brine", "", "zhao2021", "Table 3; none of Mg-5Gd is known", "assumed"
-        ),
-        "current of titanium at -1.5 V": Value(
-            TITANIUM.current_density, "A/m2", "", "no source; 0.1 to 10 times is shown", "assumed"
-        ),
-        "Tafel slope of titanium": Value(TITANIUM.tafel_slope, "V", "", "no source", "assumed"),
-        "conductivity": Value(CONDUCTIVITY, "S/m", "", "body fluid at 37 degC", "assumed"),
-        "clearance of screw and plate": Value(CLEARANCE, "m", "", "", "assumed"),
-        "lattice spacing": Value(spacing, "m", "", "", "assumed"),
-    }
-    return Prepared(values, functools.partial(_march, made, spacing))
+def _pull(given: Given, implant: str, solids: dict[str, Solid], beside) -> Pull | None:
+    """The tensile test that a file asks for."""
+    if "strength.metal" not in given:
+        return None
+    name = given.text("strength.metal")
+    if name != implant or name not in solids:
+        raise ValueError(
+            f"{given.file}: strength.metal is '{name}'; it must be the metal that dissolves, "
+            f"'{implant}', as a screw or a file"
+        )
+    alloy = load_alloy(given.text("strength.alloy"))
+    beside.add(alloy.name, alloy)
+    sizes = [
+        given.otherwise(f"strength.{key}", value, "m", "quick mesh of the life cycle")
+        for key, value in (("mesh_size", 0.3e-3), ("mesh_size_fine", 0.2e-3), ("grip", 0.7e-3))
+    ]
+    at = given.vector(f"metals.{name}.at", 3) if f"metals.{name}.at" in given else (0.0,) * 3
+    return Pull(solids[name], at, alloy, *sizes)  # type: ignore[arg-type]
 
 
-def strengths(made: Joint, results: Sequence[GalvanicResult]) -> list[float]:
-    """Peak force (N) of the intact screw and after each march's end, held by the shank.
+def _sensitivities(given: Given) -> dict[str, Callable[[], GalvanicScene]]:
+    """What else the first current is computed for, in words."""
 
-    The quick mesh of the life cycle: cells of 0.3 and 0.2 mm, ten nodes, to 10 % elongation.
+    def scaled(factor: float) -> Callable[[], GalvanicScene]:
+        return lambda: couples.build(given, cathodes=factor)[0]
+
+    def other(key: str, value: float) -> Callable[[], GalvanicScene]:
+        changed = {**given.values, key: replace(given.values[key], value=value)}
+        return lambda: couples.build(Given(changed, given.file))[0]
+
+    found = {f"cathode {factor:g} times": scaled(factor) for factor in (0.1, 10.0)}
+    for name in given.names("metals"):
+        table = f"metals.{name}"
+        if given.text(f"{table}.shape") != "plate":
+            continue
+        hole = given.number(f"{table}.hole_radius")
+        further = hole + 0.4e-3
+        found[f"hole of radius {format_length(further)}"] = other(f"{table}.hole_radius", further)
+        if f"{table}.radius" in given and hole < 2e-3 < given.number(f"{table}.radius"):
+            found["plate of radius 2 mm"] = other(f"{table}.radius", 2e-3)
+    return found
+
+
+def strengths(made: Joint, pull: Pull, results: Sequence[GalvanicResult]) -> list[float]:
+    """Peak force (N) of the intact implant and after each march's end, held by its ends.
+
+    Ten-node cells, to 10 % elongation.
     """
     from fem.constitutive import Material, fit_voce
     from fem.quadrature import sampling_points
@@ -132,21 +159,21 @@ def strengths(made: Joint, results: Sequence[GalvanicResult]) -> list[float]:
     from pipeline.geometry.solids import tetrahedral_mesh
     from pipeline.stages.damage_map import map_damage
 
-    mesh = tetrahedral_mesh(made.solid, 0.3e-3, 0.2e-3)
+    mesh = tetrahedral_mesh(pull.solid, pull.mesh_size, pull.mesh_size_fine)
     points, _ = sampling_points(mesh.points, mesh.cells)
-    lattice, screw = made.coupled.lattice, made.coupled.metals[0]
-    alloy = load_alloy(ALLOY)
+    lattice, implant = made.coupled.lattice, made.coupled.metals[made.implant]
+    alloy = pull.alloy
     hardening = fit_voce(
         alloy.yield_stress.si, alloy.ultimate_tensile_strength.si, alloy.uniform_strain.si
     )
     material = Material(alloy.young_modulus.si, alloy.poisson_ratio.si, hardening)
-    settings = TensileSettings("P2", peak_drop=0.05, grips=Grips(0.7e-3, 0.7e-3))
+    settings = TensileSettings("P2", peak_drop=0.05, grips=Grips(pull.grip, pull.grip))
     damages = [np.zeros(len(mesh.cells))]
     for result in results:
         damages.append(
             map_damage(
-                points, lattice.origin, lattice.spacing, result.fields["concentration"][-1],
-                screw.nodes, screw.solid_concentration,
+                points, np.subtract(lattice.origin, pull.at), lattice.spacing,
+                result.fields["concentration"][-1], implant.nodes, implant.solid_concentration,
             ).mean(axis=1)
         )  # fmt: skip
     return [
@@ -155,18 +182,19 @@ def strengths(made: Joint, results: Sequence[GalvanicResult]) -> list[float]:
     ]
 
 
-def losses(scene: GalvanicScene, result: GalvanicResult) -> dict[str, np.ndarray]:
-    """Lost share of the whole screw, of what is beside the plate and of the rest, by time."""
-    nodes = scene.metals[0].nodes
-    z = np.broadcast_to(scene.lattice.coordinates()[2], nodes.shape)
-    share = 1.0 - result.fields["concentration"] / scene.metals[0].solid_concentration
-    parts = {"whole": nodes, "head": nodes & (z > HEAD), "shank": nodes & (z <= HEAD)}
-    return {name: share[:, part].mean(axis=1) for name, part in parts.items()}
+def losses(made: Joint, result: GalvanicResult) -> dict[str, np.ndarray]:
+    """Lost share of the whole implant, of what is beside the others and of the rest, by time."""
+    implant, near = made.coupled.metals[made.implant], made.beside()
+    share = 1.0 - result.fields["concentration"] / implant.solid_concentration
+    parts = {"whole": implant.nodes, "beside": near, "rest": implant.nodes & ~near}
+    return {name: share[:, part].mean(axis=1) for name, part in parts.items() if part.any()}
 
 
 def _march(
     made: Joint,
-    spacing: float,
+    pull: Pull | None,
+    renewal: Renewal,
+    sensitivities: dict[str, Callable[[], GalvanicScene]],
     times: Sequence[float],
     *,
     checkpoint: Path | None = None,
@@ -182,31 +210,29 @@ def _march(
                 progress(0.4 * (number + share), text)
 
         file = None if checkpoint is None else checkpoint.with_name(f"march{number}.h5")
-        renewal = Renewal(0.1, longest=max(times) / 16)
+        limited = replace(renewal, longest=min(renewal.longest, max(times) / 16))
         results.append(
-            corrode(scene, times, renewal, checkpoint=file, resume=resume, progress=so_far)
+            corrode(scene, times, limited, checkpoint=file, resume=resume, progress=so_far)
         )
     together, apart = results
-    forces = strengths(made, results)
+    forces = None if pull is None else strengths(made, pull, results)
     for number in range(2):
         if checkpoint is not None:
             checkpoint.with_name(f"march{number}.h5").unlink(missing_ok=True)
-    lost = [losses(scene, r) for scene, r in zip((made.coupled, made.insulated), results,
-                                                strict=True)]  # fmt: skip
-    first = together.history["current_screw"][0]
+    lost = [losses(made, result) for result in results]
+    implant = made.coupled.metals[made.implant]
+    first = together.history[f"current_{implant.name}"][0]
     summary = {}
-    for name, values, force in zip(("coupled", "insulated"), lost, forces[1:], strict=True):
-        summary |= {f"{part} lost, {name}": (float(v[-1]), "1") for part, v in values.items()}
-        summary[f"strength left, {name}"] = (force / forces[0], "of the intact screw")
-    summary["peak force of the intact screw"] = (forces[0], "N")
+    for number, name in enumerate(("coupled", "insulated")):
+        summary |= {f"{p} lost, {name}": (float(v[-1]), "1") for p, v in lost[number].items()}
+        if forces is not None:
+            left = forces[number + 1] / forces[0]
+            summary[f"strength left, {name}"] = (left, "of the intact implant")
+    if forces is not None:
+        summary["peak force of the intact implant"] = (forces[0], "N")
     summary["current of the couple at the start"] = (float(first), "A")
-    for text, other in (
-        ("titanium 0.1 times", {"factor": 0.1}),
-        ("titanium 10 times", {"factor": 10.0}),
-        ("clearance 0.6 mm", {"clearance": 0.6e-3}),
-        ("plate of radius 2 mm", {"plate_radius": 2e-3}),
-    ):
-        found = potential(joint(spacing, **other).coupled).current(0)
+    for text, scene_of in sensitivities.items():
+        found = potential(scene_of()).current(made.implant)
         summary[f"the same, {text}"] = (float(found), "A")
     summary["Faraday's law left open, largest"] = (
         float(np.abs(together.history["faraday_error"]).max()), "of the metal",
@@ -224,9 +250,9 @@ def _march(
     for name, scene, result in zip(
         ("coupled", "insulated"), (made.coupled, made.insulated), results, strict=True
     ):
-        nodes = scene.metals[0].nodes
+        nodes = scene.metals[made.implant].nodes
         layers = nodes.any(axis=(0, 1))
-        solid = scene.metals[0].solid_concentration
+        solid = implant.solid_concentration
         left = result.fields["concentration"][-1].sum(axis=(0, 1))[layers]
         whole = solid * nodes.sum(axis=(0, 1))[layers]
         profiles.append(Curve(name, z[layers], 100 * (1 - left / whole)))
@@ -236,14 +262,15 @@ def _march(
             [
                 Curve(f"{part}, {name}", weeks, 100 * values[part])
                 for name, values in zip(("coupled", "insulated"), lost, strict=True)
-                for part in ("head", "shank")
+                for part in ("beside", "rest")
+                if part in values
             ],
         ),
         Panel("Where it is lost, at the end", "height / mm", "lost / %", profiles),
         Panel(
             "Current of the couple", "time / weeks", "I / uA",
-            [Curve("screw", together.history["time"] / WEEK,
-                   1e6 * together.history["current_screw"])],
+            [Curve(implant.name, together.history["time"] / WEEK,
+                   1e6 * together.history[f"current_{implant.name}"])],
         ),
     ]  # fmt: skip
     return Outcome(

@@ -10,14 +10,15 @@ from typing import Protocol
 import numpy as np
 
 from peri.engine.lattice import Lattice
+from peri.engine.omission import Omission
 from peri.engine.results import Field
 
 
 @dataclass(frozen=True)
 class Value:
-    """A number of a scene: SI, with its source (a key of references.bib, or in words) and kind."""
+    """A value of a scene: SI, with its source (a key of references.bib, or in words) and kind."""
 
-    value: float | str
+    value: float | str | list[float]
     unit: str
     source: str
     where: str
@@ -79,12 +80,21 @@ class March(Protocol):
 
 @dataclass(frozen=True)
 class Prepared:
-    """A scene, checked and ready: its values for the record, its times and its march."""
+    """A scene, checked and ready.
+
+    values : for the record, by their keys.  march : to its times.  beside : values of data files
+    that it uses, by name.  reductions : what it need not compute until a time (s).  size : of what
+    is computed, in words.
+    """
 
     values: Mapping[str, Value]
     march: March
-    assumed: Sequence[str] = field(init=False)
+    beside: Mapping[str, Value] = field(default_factory=dict)
+    reductions: Callable[[float], list[Omission]] = field(default=lambda end: [])
+    size: str = ""
 
-    def __post_init__(self) -> None:
-        names = [name for name, v in self.values.items() if v.kind in ("assumed", "fitted")]
-        object.__setattr__(self, "assumed", tuple(names))
+    @property
+    def assumed(self) -> list[str]:
+        """Names of the values that are assumed or fitted."""
+        every = {**self.values, **self.beside}
+        return [name for name, v in every.items() if v.kind in ("assumed", "fitted")]

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,7 @@ from peri.engine.constants import FARADAY
 from peri.engine.lattice import box_lattice
 from peri.engine.march.marching import TimeStepping
 from peri.engine.results import Field, axes_of
-from pipeline.scenes.outcome import Curve, Outcome, Panel, Prepared, Value
+from pipeline.scenes.outcome import Curve, Outcome, Panel
 
 STEEL_304 = {
     "solid_concentration": 142_900.0,
@@ -24,38 +23,30 @@ STEEL_304 = {
 }
 CHARGE_NUMBER, CURRENT = 2.19, 5_100.0
 UNITS = {"time": "s", "step": "s", **COLUMNS, "iterations": "1"}
-_NAMES = {
-    "solid_concentration": ("concentration of the metal", "mol/m3"),
-    "saturation_concentration": ("saturation concentration", "mol/m3"),
-    "liquid_diffusivity": ("diffusivity", "m2/s"),
-}
-
-
-def steel_values() -> dict[str, Value]:
-    """The numbers of 304 steel as the public code PeriFast/Corrosion has them."""
-    where = "its input file"
-    values = {
-        name: Value(STEEL_304[key], unit, "PeriFast/Corrosion", where, "published")
-        for key, (name, unit) in _NAMES.items()
-    }
-    values["charge number"] = Value(CHARGE_NUMBER, "1", "PeriFast/Corrosion", where, "published")
-    values["current density"] = Value(CURRENT, "A/m2", "PeriFast/Corrosion", where, "published")
-    return values
 
 
 def pencil_scene(
-    spacing: float, ratio: int = 2, current: float = CURRENT, depth: float = 400e-6
+    spacing: float,
+    ratio: int = 2,
+    current: float = CURRENT,
+    depth: float = 400e-6,
+    charge: float = CHARGE_NUMBER,
+    metal: Mapping[str, float] = STEEL_304,
 ) -> CorrosionScene:
-    """A wire in resin that dissolves from its end; clean liquid at the mouth of the pit."""
-    lattice = box_lattice((-ratio * spacing,), (depth,), spacing)
+    """A wire in resin that dissolves from its end; clean liquid at the mouth of the pit.
+
+    ratio : horizon over spacing.  metal : as STEEL_304.
+    """
+    horizon = ratio * spacing
+    lattice = box_lattice((-horizon,), (depth,), spacing)
     return CorrosionScene(
         lattice,
-        ratio * spacing,
+        horizon,
         lattice.axis(0) > 0,
-        dissolution_flux=current / (CHARGE_NUMBER * FARADAY),
+        dissolution_flux=current / (charge * FARADAY),
         flux_calibration="axis",
         dissolution="faradaic",
-        **STEEL_304,
+        **metal,
     )
 
 
@@ -77,7 +68,7 @@ def unfilled_step(scene: CorrosionScene) -> float:
 
 
 def mean_current(
-    scene: CorrosionScene, history: dict[str, np.ndarray]
+    scene: CorrosionScene, history: dict[str, np.ndarray], charge: float = CHARGE_NUMBER
 ) -> tuple[np.ndarray, np.ndarray]:
     """Time (s) and current density of a flat front (A/m^2), each over the travel of a spacing."""
     flux = scene.dissolution_flux
@@ -86,7 +77,7 @@ def mean_current(
     span = scene.lattice.spacing[0] * scene.solid_concentration / flux
     inside = time + span <= time[-1]
     speed = (np.interp(time + span, time, depth) - depth)[inside] / span
-    current = CHARGE_NUMBER * FARADAY * scene.solid_concentration * speed
+    current = charge * FARADAY * scene.solid_concentration * speed
     return time[inside] + 0.5 * span, current
 
 
@@ -104,30 +95,20 @@ def onset(scene: CorrosionScene, history: dict[str, np.ndarray]) -> tuple[float,
     return moment, float(np.interp(moment, history["time"], front_depth(scene, history)))
 
 
-def pencil(spacing: float | None) -> Prepared:
-    """The pencil electrode, ready to run."""
-    spacing = spacing or 5e-6
-    scene = pencil_scene(spacing)
-    values = {
-        **steel_values(),
-        "lattice spacing": Value(spacing, "m", "", "", "assumed"),
-        "horizon": Value(2 * spacing, "m", "", "", "assumed"),
-    }
-    return Prepared(values, functools.partial(_march_pencil, scene))
-
-
-def _march_pencil(
+def march_pencil(
     scene: CorrosionScene,
+    stepping: TimeStepping,
+    charge: float,
     times: Sequence[float],
     *,
     checkpoint: Path | None = None,
     resume: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> Outcome:
+    """March a pencil electrode, and when a salt layer begins to hold it back."""
     result = corrode(
-        scene, times, TimeStepping(step=unfilled_step(scene)), checkpoint=checkpoint,
-        resume=resume, progress=progress,
-    )  # fmt: skip
+        scene, times, stepping, checkpoint=checkpoint, resume=resume, progress=progress
+    )
     history = result.history
     depth = front_depth(scene, history)
     moment, place = onset(scene, history)
@@ -145,7 +126,8 @@ def _march_pencil(
     panels = [
         Panel("Depth of the pit", "time / s", "depth / um",
               [Curve("pit", history["time"], 1e6 * depth)]),
-        Panel("Current", "time / s", "i / (A/m²)", [Curve("pit", *mean_current(scene, history))]),
+        Panel("Current", "time / s", "i / (A/m²)",
+              [Curve("pit", *mean_current(scene, history, charge))]),
         Panel("Metal ions in the pit", "from the mouth / um", "C / (mol/m³)", profiles),
     ]  # fmt: skip
     return outcome_of(result, summary, panels)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,10 +18,8 @@ from peri.engine.constants import FARADAY
 from peri.engine.lattice import Lattice
 from peri.engine.march.marching import TimeStepping
 from peri.engine.results import Field, axes_of
-from pipeline.scenes.outcome import Curve, Outcome, Panel, Prepared, Value
-from pipeline.scenes.pits import CHARGE_NUMBER, STEEL_304, closing, outcome_of, steel_values
-
-SEED = 1
+from pipeline.scenes.outcome import Curve, Outcome, Panel
+from pipeline.scenes.pits import CHARGE_NUMBER, STEEL_304, closing, outcome_of
 
 
 def section(width: float, depth: float, liquid: float, spacing: float) -> Lattice:
@@ -31,12 +29,21 @@ def section(width: float, depth: float, liquid: float, spacing: float) -> Lattic
 
 
 def masked_scene(
-    spacing: float, current: float = 1e4, opening: float = 40e-6, ratio: int = 2
+    spacing: float,
+    current: float = 1e4,
+    opening: float = 40e-6,
+    ratio: float = 2,
+    size: tuple[float, float] = (600e-6, 250e-6),
+    charge: float = CHARGE_NUMBER,
+    steel: Mapping[str, float] = STEEL_304,
 ) -> CorrosionScene:
-    """Steel under a mask with an opening, clean liquid at the opening."""
+    """Steel under a mask with an opening, clean liquid at the opening.
+
+    size : width and depth of the section, m.  steel : as STEEL_304.
+    """
     horizon = ratio * spacing
     mask = horizon + spacing
-    lattice = section(600e-6, 250e-6, mask + horizon, spacing)
+    lattice = section(*size, mask + horizon, spacing)
     x, y = (np.broadcast_to(a, lattice.shape) for a in lattice.coordinates())
     metal = np.ascontiguousarray(y < 0)
     return CorrosionScene(
@@ -44,9 +51,9 @@ def masked_scene(
         horizon,
         metal,
         domain=metal | (np.abs(x) < 0.5 * opening),
-        dissolution_flux=current / (CHARGE_NUMBER * FARADAY),
+        dissolution_flux=current / (charge * FARADAY),
         dissolution="faradaic",
-        **STEEL_304,
+        **steel,
     )
 
 
@@ -56,20 +63,22 @@ def lacy_scene(
     critical: float = 0.7,
     nucleus: float = 20e-6,
     passive: float = 1e-3,
-    ratio: int = 2,
+    ratio: float = 2,
+    size: tuple[float, float] = (300e-6, 80e-6),
+    **metal: Any,
 ) -> CorrosionScene:
     """Steel that is passive below a critical concentration, with a nucleus that is active.
 
     critical : C_crit over C_sat.  nucleus : radius of a half disc at the surface, m.  passive :
     the passive current over the active one.  Liquid of two horizons lies above, its upper half
-    held clean.
+    held clean.  size : width and depth of the section, m.  metal : as lacy_metal takes it.
     """
     horizon = ratio * spacing
-    lattice = section(300e-6, 80e-6, 2 * horizon, spacing)
+    lattice = section(*size, 2 * horizon, spacing)
     x, y = (np.broadcast_to(a, lattice.shape) for a in lattice.coordinates())
-    metal = np.ascontiguousarray(y < 0)
-    bare = metal & (x**2 + y**2 < nucleus**2)
-    return lacy_metal(lattice, metal, bare, horizon, current, critical, passive)
+    sheet = np.ascontiguousarray(y < 0)
+    bare = sheet & (x**2 + y**2 < nucleus**2)
+    return lacy_metal(lattice, sheet, bare, horizon, current, critical, passive, **metal)
 
 
 def lacy_metal(
@@ -80,68 +89,26 @@ def lacy_metal(
     current: float = 1e5,
     critical: float = 0.7,
     passive: float = 1e-3,
+    ramp: float | None = None,
+    charge: float = CHARGE_NUMBER,
+    steel: Mapping[str, float] = STEEL_304,
 ) -> CorrosionScene:
-    """Steel that is passive below a critical concentration but for its bare nodes."""
-    saturated = STEEL_304["saturation_concentration"]
-    solid = STEEL_304["solid_concentration"]
-    film = Repassivation(critical * saturated, saturated, passive)
+    """Steel that is passive below a critical concentration but for its bare nodes.
+
+    ramp : width of the film's ramp, mol/m^3.  steel : as STEEL_304.
+    """
+    saturated, solid = steel["saturation_concentration"], steel["solid_concentration"]
+    film = Repassivation(critical * saturated, saturated, passive, ramp)
     return CorrosionScene(
         lattice,
         horizon,
         metal,
-        dissolution_flux=current / (CHARGE_NUMBER * FARADAY),
+        dissolution_flux=current / (charge * FARADAY),
         dissolution="faradaic",
         solids=(Solid(solid, kinetics=film), Solid(solid, kinetics=ConstantRate())),
         phase=metal.astype(np.uint8) + bare.astype(np.uint8),
-        **STEEL_304,
+        **steel,
     )
-
-
-def masked(spacing: float | None) -> Prepared:
-    """The pit under a mask, ready to run."""
-    spacing = spacing or 5e-6
-    scene = masked_scene(spacing)
-    values = {
-        **steel_values(),
-        "current density": Value(1e4, "A/m2", "", "salt layer within minutes", "assumed"),
-        "opening of the mask": Value(40e-6, "m", "", "", "assumed"),
-        **_lattice_values(scene),
-    }
-    step = TimeStepping(step=1.0)
-    return Prepared(values, functools.partial(march_section, scene, step))
-
-
-def lacy(spacing: float | None) -> Prepared:
-    """The pit with a lacy cover, ready to run."""
-    spacing = spacing or 2.5e-6
-    scene = lacy_scene(spacing)
-    film = scene.law_of(scene.solids[0])
-    assert isinstance(film, Repassivation) and film.width is not None
-    values = {
-        **steel_values(),
-        "current density": Value(1e5, "A/m2", "", "0.6 V, no number is printed", "assumed"),
-        "critical concentration": Value(
-            film.critical_concentration,
-            "mol/m3",
-            "",
-            "0.5 to 0.8 of saturation is usual",
-            "assumed",
-        ),
-        "width of its ramp": Value(film.width, "mol/m3", "", "2 % of saturation", "assumed"),
-        "passive share of the current": Value(film.passive_share, "1", "", "", "assumed"),
-        "radius of the nucleus": Value(20e-6, "m", "", "", "assumed"),
-        **_lattice_values(scene),
-    }
-    step = TimeStepping(step=0.1)
-    return Prepared(values, functools.partial(march_section, scene, step))
-
-
-def _lattice_values(scene: CorrosionScene) -> dict[str, Value]:
-    return {
-        "lattice spacing": Value(scene.lattice.spacing[0], "m", "", "", "assumed"),
-        "horizon": Value(float(np.max(scene.horizon)), "m", "", "", "assumed"),
-        "seed of the bonds": Value(SEED, "1", "", "", "assumed"),
-    }
 
 
 def shape_of(scene: CorrosionScene, metal: np.ndarray) -> tuple[float, float, float]:
@@ -162,6 +129,7 @@ def shape_of(scene: CorrosionScene, metal: np.ndarray) -> tuple[float, float, fl
 def march_section(
     scene: CorrosionScene,
     stepping: TimeStepping,
+    seed: int,
     times: Sequence[float],
     *,
     checkpoint: Path | None = None,
@@ -175,7 +143,7 @@ def march_section(
     lattice, history = scene.lattice, result.history
     damage = BondDamage(
         lattice, scene.horizon, scene.metal, scene.solid_concentration,
-        scene.saturation_concentration, SEED,
+        scene.saturation_concentration, seed,
     )  # fmt: skip
     index, islands = [], 0
     for concentration, metal in zip(result.concentration, result.metal, strict=True):

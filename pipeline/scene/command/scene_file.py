@@ -26,7 +26,9 @@ from pipeline.scene.command.arguments import arguments_of, keyword, options_of, 
 from pipeline.scene.command.parser import OneSentenceParser
 from pipeline.scene.scene import Scene, SceneError, scene_from_json
 
-KINDS = ("life-cycle",)
+LOCALISED = ("pit", "crevice", "galvanic", "intergranular", "couple")
+"""Kinds of localised corrosion; pipeline.scenes reads their files."""
+KINDS = ("life-cycle", *LOCALISED)
 """What a scene file can describe; the first where it does not say."""
 
 STORED = ".json"
@@ -38,25 +40,33 @@ def take_scene_file(
     known: Callable[[], argparse.ArgumentParser],
     without: Collection[str] = (),
     stored: bool = True,
+    localised: bool = False,
 ) -> None:
     """Let a command take a scene file, as an argument that belongs to no option or by --scene.
 
     known: a parser with every option that the file may name; those that `parser` lacks, and those
     in `without`, are for other commands.  stored: whether a resolved scene will do, too.
+    localised: whether a scene of localised corrosion will, too, in either form: it is left to the
+    command (`localised_kind`).
     """
     which = "TOML, or scene.json of a run" if stored else "TOML"
     parser.add_argument("scene_file", nargs="?", metavar="SCENE", help=f"scene file: {which}")
     parser.add_argument("--scene", metavar="FILE", help="the same by name")
+
+    if localised:
+        defaults = {name: action.default for name, action in options_of(parser).items()}
+        parser.set_defaults(defaults=defaults)
 
     def expand(arguments: list[str]) -> list[str]:
         own = options_of(parser)
         path, rest = _named(own, arguments)
         if path is None:
             return arguments
-        if path.suffix == STORED:
-            if not stored:
+        local = localised and localised_kind(path) is not None
+        if path.suffix == STORED or local:
+            if not (stored or local):
                 raise ValueError(f"scene file is '{path}'; it must be TOML for this command")
-            for name in ("alloy", "immersion"):
+            for name in ("alloy", "immersion", *(("out",) if local and "out" in own else ())):
                 own[name].required = False
             return ["--scene", str(path), *rest]
         values = read_scene_file(path, known())
@@ -112,22 +122,46 @@ _WORDS = {0: 0, "+": math.inf, "*": math.inf}
 """Words after an option by its nargs, where that is not one."""
 
 
+def read_content(path: Path) -> dict:
+    """What stands in a TOML or JSON file.
+
+    Raises FileNotFoundError or ValueError with one sentence for a file that is not there or not
+    of its kind.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+        content = json.loads(text) if path.suffix == STORED else tomllib.loads(text)
+    except FileNotFoundError:
+        raise FileNotFoundError(f"scene file is '{path}'; there is no such file") from None
+    except json.JSONDecodeError as error:
+        raise ValueError(f"'{path}' is not JSON: {error}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        said = str(error) or "it is nested too deeply"
+        raise ValueError(f"scene file '{path}' is not valid TOML: {said}") from None
+    return content if isinstance(content, dict) else {}
+
+
+def localised_kind(path: Path | str | None) -> str | None:
+    """The kind of a file of localised corrosion; None for every other, and without a file."""
+    try:
+        kind = None if path is None else read_content(Path(path)).get("kind")
+    except (OSError, ValueError):
+        return None  # whoever reads it as a file of a life cycle says what is wrong
+    return kind if kind in LOCALISED else None
+
+
 def read_scene_file(path: Path, parser: argparse.ArgumentParser) -> dict[str, object]:
     """Values of a scene file by the keyword of their option.
 
     Raises FileNotFoundError or ValueError with one sentence for a file that is not there or not
     TOML, an unknown kind, a key that is no option, stands in another table or twice.
     """
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise FileNotFoundError(f"scene file is '{path}'; there is no such file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        said = str(error) or "it is nested too deeply"
-        raise ValueError(f"scene file '{path}' is not valid TOML: {said}") from None
+    content = read_content(path)
     kind = content.pop("kind", KINDS[0])
+    if kind in LOCALISED:
+        raise ValueError(f"{path}: kind is {kind!r}; for this command it must be {KINDS[0]}")
     if kind not in KINDS:
-        near = did_you_mean(kind, KINDS)
+        near = did_you_mean(str(kind), KINDS)
         raise ValueError(f"{path}: kind is {kind!r}{near}; it must be {' or '.join(KINDS)}")
     options, tables = options_of(parser), tables_of(parser)
     values: dict[str, object] = {}

@@ -1,0 +1,171 @@
+"""What the metals of a couple are made of: alloy, polarization, self-corrosion; and the liquid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from peri.corrosion.kinetics import ConstantRate, Kinetics, VolumeLossLaw
+from peri.corrosion.polarization import ButlerVolmerCurve, TafelCurve
+from peri.coupled.galvanic import Metal
+from peri.engine.constants import FARADAY, GAS_CONSTANT
+from peri.transport.potential.polarization import Insulated, LinearPolarization, Polarization
+from perilife_data import (
+    Electrode,
+    common_reference,
+    load_alloy,
+    load_electrode,
+    load_medium,
+    load_reaction_set,
+)
+from pipeline.scene.laws.polarization import polarization_law
+from pipeline.scenes.bodies import BODY_KEYS
+from pipeline.scenes.keys import TEXT, Given, Key, positive
+from pipeline.scenes.outcome import Value
+
+LAWS = ("linear", "tafel", "butler-volmer", "insulated")
+METAL_KEYS: dict[str, Key] = {
+    **BODY_KEYS,
+    "electrode": Key(TEXT, "name of a shipped electrode, or a TOML file like one", "AE44"),
+    "law": Key(TEXT, "polarization in place of an electrode's", "tafel", allowed=LAWS),
+    "rest_potential": Key("electric potential", "of law linear or butler-volmer", "-1.5V"),
+    "resistance": positive("resistance of a surface", "of law linear", "0.1 ohm m^2"),
+    "exchange_current_density": positive("current density", "of butler-volmer", "0.01 A/m^2"),
+    "current_density": positive("current density", "of tafel, at its potential", "0.1 A/m^2"),
+    "tafel_slope": Key("electric potential", "a decade; negative: cathodic", "-0.15V"),
+    "standard_potential": Key("electric potential", "of law tafel", "-1.5V"),
+    "potential": Key("electric potential", "of the metal (0 V: all are joined by a wire)", "0V"),
+    "dissolves": Key(TEXT, "whether it does (no)", "yes", allowed=("yes", "no")),
+    "alloy": Key(TEXT, "name of a shipped alloy, or a TOML file like one", "Mg-5Gd"),
+    "solid_concentration": positive("concentration", "in place of the alloy's", "67860 mol/m^3"),
+    "charge_number": positive("dimensionless", "of the ion, in place of the alloy's", 2),
+    "self_corrosion": Key(
+        "surface reaction rate", "of a fresh surface, without a couple", "1e-6 mol/(m^2 s)",
+        at_least=0.0,
+    ),
+    "volume_loss_scale": positive("dimensionless", "l by which self-corrosion slows", 0.1),
+}  # fmt: skip
+LIQUID_KEYS: dict[str, Key] = {
+    "conductivity": positive("conductivity", "kappa", "2.5 S/m"),
+    "medium": Key(
+        TEXT, "in place of it: kappa of a medium's ions, undisturbed", "sodium-chloride-142"
+    ),
+}
+
+
+@dataclass
+class Beside:
+    """Values of data files that a scene uses, for its record."""
+
+    values: dict[str, Value] = field(default_factory=dict)
+
+    def add(self, name: str, data: object) -> None:
+        """All quantities of an electrode or alloy."""
+        for quantity, q in data.quantities().items():  # type: ignore[attr-defined]
+            where = f"{q.where} ({q.conditions})" if q.conditions else q.where
+            self.values[f"{name}: {quantity}"] = Value(q.si, "SI", q.source, where, q.kind)
+
+
+def conductivity(given: Given, beside: Beside) -> float:
+    """kappa of the liquid, S/m; of a medium F^2/(RT) sum z^2 D C of its ions."""
+    if ("liquid.conductivity" in given) == ("liquid.medium" in given):
+        raise ValueError(f"{given.file}: give one of liquid.conductivity and liquid.medium")
+    if "liquid.conductivity" in given:
+        return given.number("liquid.conductivity")
+    medium = load_medium(given.text("liquid.medium"))
+    if not medium.reactions:
+        raise ValueError(f"{given.file}: liquid.medium is '{medium.name}', which names no ions")
+    temperature = medium.temperature.si
+    mobile = load_reaction_set(medium.reactions).at(temperature).diffusivity
+    total = 0.0
+    for name, species in medium.species.items():
+        if name in mobile:
+            charge = species.charge_number.si
+            total += charge**2 * mobile[name] * species.total_concentration.si
+    kappa = FARADAY**2 / (GAS_CONSTANT * temperature) * total
+    beside.values[f"{medium.name}: conductivity"] = Value(
+        kappa, "S/m", "", "F^2/(RT) sum z^2 D C of the ions as listed, dilute", "derived"
+    )
+    return kappa
+
+
+def metals_of(
+    given: Given, nodes: dict[str, np.ndarray], beside: Beside
+) -> tuple[tuple[Metal, ...], dict[str, Electrode]]:
+    """The metals by the tables of [metals], and the electrodes that some of them name.
+
+    Raises ValueError for what is missing or does not fit, and for electrodes against different
+    reference electrodes.
+    """
+    electrodes: dict[str, Electrode] = {}
+    metals = []
+    for name, place in nodes.items():
+        table = f"metals.{name}"
+        if (f"{table}.electrode" in given) == (f"{table}.law" in given):
+            raise ValueError(f"{given.file}: give one of {table}.electrode and {table}.law")
+        law: Polarization
+        if f"{table}.electrode" in given:
+            electrode = load_electrode(given.text(f"{table}.electrode"))
+            beside.add(electrode.name, electrode)
+            electrodes[name], law = electrode, polarization_law(electrode)
+        else:
+            law = _own_law(given, table)
+        metals.append(Metal(name, place, law, **_dissolving(given, table, beside)))
+    if electrodes:
+        common_reference(electrodes.values())
+    return tuple(metals), electrodes
+
+
+def _own_law(given: Given, table: str) -> Polarization:
+    law = given.text(f"{table}.law")
+    if law == "insulated":
+        return Insulated()
+    try:
+        if law == "linear":
+            return LinearPolarization(
+                given.number(f"{table}.rest_potential"), given.number(f"{table}.resistance")
+            )
+        if law == "butler-volmer":
+            return ButlerVolmerCurve(
+                given.number(f"{table}.exchange_current_density"),
+                given.number(f"{table}.rest_potential"),
+            )
+        return TafelCurve(
+            given.number(f"{table}.current_density"),
+            given.number(f"{table}.tafel_slope"),
+            given.number(f"{table}.standard_potential"),
+        )
+    except ValueError as error:
+        text = str(error)
+        raise ValueError(text if given.file in text else f"{given.file}: {table}.{text}") from None
+
+
+def _dissolving(given: Given, table: str, beside: Beside) -> dict:
+    """What a metal that dissolves has beside its law."""
+    out: dict = {}
+    if f"{table}.potential" in given:
+        out["potential"] = given.number(f"{table}.potential")
+    dissolves = f"{table}.dissolves" in given and given.text(f"{table}.dissolves") == "yes"
+    if not dissolves:
+        return out
+    if f"{table}.alloy" in given:
+        alloy = load_alloy(given.text(f"{table}.alloy"))
+        beside.add(alloy.name, alloy)
+        out |= {
+            "solid_concentration": alloy.solid_concentration.si,
+            "charge_number": alloy.charge_number.si,
+        }
+    for name in ("solid_concentration", "charge_number"):
+        if f"{table}.{name}" in given:
+            out[name] = given.number(f"{table}.{name}")
+        elif name not in out:
+            raise ValueError(f"{given.file}: {table}.{name} is missing; a metal that dissolves "
+                             "needs it, or an alloy")  # fmt: skip
+    if f"{table}.self_corrosion" in given:
+        flux = given.number(f"{table}.self_corrosion")
+        out["self_corrosion"] = out["charge_number"] * FARADAY * flux
+    law: Kinetics = ConstantRate()
+    if f"{table}.volume_loss_scale" in given:
+        law = VolumeLossLaw(given.number(f"{table}.volume_loss_scale"))
+    return {**out, "kinetics": law}

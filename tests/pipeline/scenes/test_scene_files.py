@@ -1,0 +1,205 @@
+"""Scene files of localised corrosion: shipped ones, one's own, stored ones; what is refused."""
+
+import csv
+import json
+from dataclasses import fields, is_dataclass
+
+import numpy as np
+import pytest
+
+from peri.corrosion.interface.faradaic import Faradaic
+from peri.engine.lattice import Lattice
+from pipeline.cli import main
+from pipeline.scenes import crevices, grains, pits, pits_2d
+from pipeline.scenes.couples import ae44_scene
+from pipeline.scenes.files import read_scene
+from pipeline.scenes.registry import KINDS, path_of, shipped
+from tests.pipeline.command_line import refused
+
+OWN = """
+kind = "galvanic"
+immersion = ["0s", "2h"]
+
+[lattice]
+spacing = "1mm"
+low = ["0mm", "0mm"]
+high = ["24mm", "12mm"]
+
+[liquid]
+medium = "sodium-chloride-142"
+
+[metals.tin]
+shape = "box"
+low = ["0mm", "0mm"]
+high = ["8mm", "4mm"]
+law = "linear"
+rest_potential = "-500mV"
+resistance = "0.1 ohm m^2"
+
+[metals.pin]
+shape = "ball"
+centre = ["15mm", "0mm"]
+radius = "3mm"
+law = "butler-volmer"
+exchange_current_density = "0.01 mA/cm^2"
+rest_potential = -1.2
+dissolves = "yes"
+alloy = "Mg-5Gd"
+self_corrosion = { value = "1e-7 mol/(m^2 s)", source = "my notebook", kind = "measured" }
+"""
+
+
+def init(capsys, *arguments: str) -> str:
+    assert main(["init", *arguments]) == 0
+    return capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", list(shipped()))
+def test_what_init_prints_is_the_shipped_scene(name, tmp_path, capsys):
+    file = tmp_path / f"{name}.toml"
+    text = init(capsys, "--kind", name)
+    file.write_text(text)
+    again, scene = read_scene(file), read_scene(path_of(name))
+    assert again.values == scene.values and again.times == scene.times
+    assert again.title == scene.title and again.out == "runs/mine"
+    keys = {key.split(".")[-1] for key in KINDS[scene.kind].keys}
+    said = {line.lstrip("#").split(" = ")[0] for line in text.splitlines() if " = " in line}
+    assert keys <= said and "# " not in said
+    # every example is one that its key takes
+    for key, spec in KINDS[scene.kind].keys.items():
+        spec.read(spec.example, key)
+
+
+def test_a_kind_has_an_example(capsys):
+    for kind, entry in KINDS.items():
+        assert f'kind = "{kind}"' in init(capsys, "--kind", kind)
+        assert read_scene(path_of(entry.example)).kind == kind
+
+
+def same(one: object, other: object) -> None:
+    """Two scenes with equal fields; numbers and places but for the round-off of their units."""
+    for item in fields(one):
+        mine, theirs = getattr(one, item.name), getattr(other, item.name)
+        if isinstance(mine, Lattice):
+            assert mine.shape == theirs.shape
+            np.testing.assert_allclose(mine.origin, theirs.origin, rtol=1e-12)
+            np.testing.assert_allclose(mine.spacing, theirs.spacing, rtol=1e-12)
+        elif isinstance(mine, np.ndarray | float):
+            np.testing.assert_allclose(mine, theirs, rtol=1e-12)
+        elif is_dataclass(mine):
+            same(mine, theirs)
+        elif isinstance(mine, tuple) and mine and is_dataclass(mine[0]):
+            for a, b in zip(mine, theirs, strict=True):
+                same(a, b)
+        else:
+            assert mine == theirs or type(mine) is type(theirs) is Faradaic, item.name
+
+
+def test_the_files_make_the_scenes_of_the_studies():
+    def made(name: str):
+        return read_scene(path_of(name)).prepared().march.args[0]
+
+    for name, scene in (
+        ("pit-pencil", pits.pencil_scene(5e-6)),
+        ("pit-304", pits_2d.masked_scene(5e-6)),
+        ("pit-lacy", pits_2d.lacy_scene(2.5e-6)),
+        ("intergranular", grains.grain_scene(1e-6)),
+        ("crevice-625", crevices.crevice_625(3e-3, 1016)),
+    ):
+        same(made(name), scene)
+    # the lattice's places differ by round-off: cells of a box, and counted from its corner
+    one, other = made("galvanic-ae44-aa6063"), ae44_scene("AA6063")
+    np.testing.assert_allclose(one.lattice.origin, other.lattice.origin, rtol=1e-9)
+    assert one.lattice.shape == other.lattice.shape and one.conductivity == other.conductivity
+    for mine, theirs in zip(one.metals, other.metals, strict=True):
+        assert np.array_equal(mine.nodes, theirs.nodes) and mine.law == theirs.law
+        assert mine.solid_concentration == theirs.solid_concentration
+
+
+def test_a_file_of_ones_own_runs_and_its_stored_scene_repeats_it(tmp_path, capsys):
+    file, first, second = tmp_path / "own.toml", tmp_path / "one", tmp_path / "two"
+    file.write_text(OWN)
+    assert main(["run", str(file), "--out", str(first), "--quiet"]) == 0
+    printed = capsys.readouterr().out
+    assert "deepest at the end" in printed and " um\n" in printed
+    with (first / "summary.csv").open(newline="", encoding="utf-8") as table:
+        found = {row["quantity"]: row for row in csv.DictReader(table)}
+    assert float(found["share of pin lost"]["value"]) > 0
+    assert found["deepest at the end"]["unit"] == "m"
+    stored = json.loads((first / "scene.json").read_text(encoding="utf-8"))
+    assert stored["values"]["metals.pin.self_corrosion"]["source"] == "my notebook"
+    assert stored["values"]["lattice.horizon"]["kind"] == "assumed"
+    # F^2/(RT) (D_Na + D_Cl) 142 mol/m^3 at 37 degC by hand: 2.18 S/m
+    kappa = stored["data"]["sodium-chloride-142: conductivity"]["value"]
+    assert kappa == pytest.approx(96485.33**2 / (8.314463 * 310.15) * 142 * (1.70e-9 + 2.55e-9),
+                                  rel=0.01)  # fmt: skip
+    scene = first / "scene.json"
+    assert main(["run", "--scene", str(scene), "--out", str(second), "--quiet"]) == 0
+    assert (second / "summary.csv").read_bytes() == (first / "summary.csv").read_bytes()
+    capsys.readouterr()
+    stored["data"]["Mg-5Gd: density"]["value"] *= 2
+    scene.write_text(json.dumps(stored))
+    out = ["--out", str(tmp_path / "three")]
+    refused(capsys, ["run", "--scene", str(scene), *out], "Mg-5Gd: density has changed")
+    scene.write_text(json.dumps({**stored, "values": {"a.b": {}}}))
+    refused(capsys, ["run", "--scene", str(scene), *out], "no scene that a run has stored")
+
+
+def test_plan_and_json(tmp_path, capsys):
+    file = tmp_path / "own.toml"
+    file.write_text(OWN)
+    assert main(["plan", str(file)]) == 0
+    assert "own (galvanic) to 2h" in capsys.readouterr().out
+    assert main(["plan", str(file), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["kind"] == "galvanic"
+    options = ["--out", str(tmp_path / "run"), "--quiet", "--json", "--immersion", "1min"]
+    assert main(["run", str(file), *options]) == 0
+    assert json.loads(capsys.readouterr().out)["summary"]["current at the start"][1] == "A/m"
+
+
+CHANGES = [
+    ('kind = "galvanic"', 'kind = "galvanik"', ["did you mean galvanic?"]),
+    ("[lattice]", "[latice]", ["'latice'", "did you mean lattice?"]),
+    ('spacing = "1mm"', 'spacin = "1mm"', ["lattice.spacin", "did you mean spacing?"]),
+    ('spacing = "1mm"', 'spacing = "1kg"', ["lattice.spacing is '1kg'", "unit of length"]),
+    ('spacing = "1mm"', 'spacing = "0mm"', ["above 0 m"]),
+    ('spacing = "1mm"', 'spacing = "1mm"\nhorizon = "0.5mm"', ["at least the spacing"]),
+    ('spacing = "1mm"', 'spacing = "1mm"\nhorizon = "5mm"', ["half of the narrowest gap"]),
+    ('high = ["24mm", "12mm"]', 'high = ["24mm"]', ["lattice.high has 1 entries", "2"]),
+    ("[liquid]\n", '[liquid]\nconductivity = "1 S/m"\n', ["one of liquid.conductivity"]),
+    ('shape = "ball"', 'shape = "bal"', ["did you mean ball?"]),
+    ('radius = "3mm"', 'radius = "3mm"\ndiameter = "4mm"', ["metals.pin.diameter", "no use"]),
+    ('radius = "3mm"', 'radius = "9mm"', ["belong to two of tin, pin"]),
+    ('alloy = "Mg-5Gd"', 'alloy = "Mg5Gd"', ["did you mean Mg-5Gd?"]),
+    ('alloy = "Mg-5Gd"', "solid_concentration = 7e4", ["metals.pin.charge_number is missing"]),
+    ('law = "linear"', 'law = "linear"\nelectrode = "AE44"', ["one of metals.tin.electrode"]),
+    ('resistance = "0.1 ohm m^2"', "resistance = -1", ["metals.tin.resistance", "above 0"]),
+    ('kind = "measured"', 'kind = "mesured"', ["did you mean measured?"]),
+    ('source = "my notebook"', 'sorce = "my notebook"', ["did you mean source?"]),
+    ('immersion = ["0s", "2h"]', 'immersion = ["2h", "1h"]', ["must rise"]),
+    ('immersion = ["0s", "2h"]', "immersion = 3", ["list of times"]),
+    ('kind = "galvanic"', 'kind = "galvanic"\nalloy = "Mg-5Gd"', ["'alloy'", "at the top"]),
+    ('shape = "ball"', 'shape = "screw"', ["three axes"]),
+    ('kind = "galvanic"', 'kind = "couple"', ["an implant has 3"]),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "words"), CHANGES)
+def test_what_a_file_must_not_hold_is_refused(old, new, words, tmp_path, capsys):
+    file, out = tmp_path / "own.toml", tmp_path / "run"
+    assert old in OWN
+    file.write_text(OWN.replace(old, new, 1))
+    refused(capsys, ["run", str(file), "--out", str(out)], *words)
+    assert not out.exists()
+
+
+def test_what_belongs_to_another_command_is_refused(tmp_path, capsys):
+    file = tmp_path / "own.toml"
+    file.write_text(OWN)
+    run = ["run", str(file), "--out", str(tmp_path / "run")]
+    refused(capsys, [*run, "--alloy", "Mg-5Gd"], "--alloy is of a life cycle", "--spacing")
+    refused(capsys, [*run, "--ranks", "2"], "--ranks is of a life cycle")
+    refused(capsys, ["run", str(file)], "say where with --out DIR")
+    refused(capsys, ["geometry", str(file), "--out", "x"], "must be life-cycle")
+    refused(capsys, ["init", "--kind", "pitt"], "did you mean pit?")
+    refused(capsys, ["init", "--kind", "pit", "--np", "2"], "--np is of a life cycle")
