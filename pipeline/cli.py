@@ -225,7 +225,7 @@ def _init(options: argparse.Namespace) -> int:
 
 
 def _geometry(options: argparse.Namespace) -> int:
-    from pipeline.life_cycle import LifeCycle
+    from pipeline.life_cycle import StagedRun
     from pipeline.record.progress import progress_for
     from pipeline.stages.opening import open_run
 
@@ -235,7 +235,7 @@ def _geometry(options: argparse.Namespace) -> int:
         open_run(scene, options.out, options.resume, solid=solid, stages=stages) as (folder, solid),
         progress_for(sys.stderr, options.quiet) as progress,
     ):
-        record = LifeCycle(scene, folder, progress=progress, solid=solid).geometry()
+        record = StagedRun(scene, folder, progress=progress, solid=solid).geometry()
     for name, value in record.numbers.items():
         print(f"{name}: {value}")
     return 0
@@ -271,7 +271,7 @@ def _stages(options: argparse.Namespace, action: Callable, stage: str = "") -> i
 
     stage: the one for which the machine is checked first.
     """
-    from pipeline.life_cycle import LifeCycle
+    from pipeline.life_cycle import StagedRun
     from pipeline.record.progress import progress_for
     from pipeline.stages.opening import check_stage, read_run
 
@@ -287,7 +287,7 @@ def _stages(options: argparse.Namespace, action: Callable, stage: str = "") -> i
     with folder.lock(), progress_for(sys.stderr, options.quiet) as progress:
         if stage:
             check_stage(folder, scene, stage, ranks, workers)
-        cycle = LifeCycle(scene, folder, ranks=ranks, workers=workers, progress=progress)
+        cycle = StagedRun(scene, folder, ranks=ranks, workers=workers, progress=progress)
         action(cycle, alloys, tests)
     return 0
 

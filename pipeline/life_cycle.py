@@ -1,6 +1,6 @@
 """The life cycle: geometry, corrosion, damage map, tensile tests, table and report, with resume.
 
-Each method of `LifeCycle` does one stage unless its record says that it is complete.  Files and
+Each method of `StagedRun` does one stage unless its record says that it is complete.  Files and
 folders are those of `pipeline.record.run_folder`.
 """
 
@@ -59,15 +59,15 @@ def run_life_cycle(
     with open_run(
         scene, path, resume, solid=solid, stages=stages, ranks=ranks, workers=workers
     ) as (folder, solid):
-        cycle = LifeCycle(
+        cycle = StagedRun(
             scene, folder, ranks=ranks, workers=workers, progress=progress, solid=solid,
             march_ranks=march_ranks,
         )  # fmt: skip
         return cycle.run()
 
 
-class LifeCycle:
-    """One run: a scene, its folder, how many MPI ranks per pull and how many pulls at a time.
+class StagedRun:
+    """One run, stage by stage: scene, folder, MPI ranks per pull, pulls at a time.
 
     workers: None takes as many as the cores allow.  solid: the solid of the scene where it has
     been built already.  march_ranks: MPI ranks of each march, 1 for this very process.  pull_here:

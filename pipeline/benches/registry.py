@@ -82,7 +82,7 @@ def quick_stages(alloys: Sequence[str] = ALLOYS, **changes: object) -> list[Resu
 
     changes: of the scene (pipeline.scene.resolve).
     """
-    from pipeline.life_cycle import LifeCycle, run_life_cycle
+    from pipeline.life_cycle import StagedRun, run_life_cycle
     from pipeline.scene.resolve import resolve_scene
 
     scene = resolve_scene(list(alloys), TIMES, "quick", **changes)
@@ -90,7 +90,7 @@ def quick_stages(alloys: Sequence[str] = ALLOYS, **changes: object) -> list[Resu
     with tempfile.TemporaryDirectory(prefix="perilife-bench-") as place:
         clock = _StageClock()
         rows = run_life_cycle(scene, Path(place), progress=clock)
-        cycle = LifeCycle(scene, Path(place))
+        cycle = StagedRun(scene, Path(place))
         results = [
             Result(f"{stage} time", seconds, "s", None) for stage, seconds in clock.stages.items()
         ]

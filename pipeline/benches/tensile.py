@@ -159,7 +159,7 @@ def published_pull(
     sizes: tuple[float, float], strain: float = 0.1, element: str = "P1", ranks: int = RANKS
 ) -> dict[str, float]:
     """Pull the screw after 8 weeks on the quick lattice; the tensile stage itself."""
-    from pipeline.life_cycle import LifeCycle
+    from pipeline.life_cycle import StagedRun
     from pipeline.record.progress import Progress
     from pipeline.scene.resolve import resolve_scene
     from pipeline.stages.strength import read_result
@@ -169,7 +169,7 @@ def published_pull(
         tensile={"element": element, "increment": 0.005, "final_strain": strain, "peak_drop": 1.0},
     )  # fmt: skip
     with tempfile.TemporaryDirectory(prefix="perilife-bench-") as place:
-        cycle = LifeCycle(scene, Path(place), ranks=ranks, workers=1, progress=Progress())
+        cycle = StagedRun(scene, Path(place), ranks=ranks, workers=1, progress=Progress())
         begun = time.perf_counter()
         cycle.geometry()
         meshed = time.perf_counter() - begun

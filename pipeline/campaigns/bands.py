@@ -26,7 +26,7 @@ from pipeline.campaigns.strength import (
     curve_to,
 )
 from pipeline.campaigns.surrogate_bands import FIRST, MarchedSamples
-from pipeline.life_cycle import LifeCycle
+from pipeline.life_cycle import StagedRun
 from pipeline.record.bands import BANDS_FILE, write_bands
 from pipeline.record.doubts import DOUBTS_FILE, HoldDoubts, Source, write_doubts
 from pipeline.record.progress import Progress
@@ -51,7 +51,7 @@ BEYOND = 0.025
 """Share of the samples that may go beyond the bound of clean liquid: half of a band's tail."""
 
 
-class BandedLifeCycle(LifeCycle):
+class BandedRun(StagedRun):
     """A life cycle that adds bands before its report.
 
     samples: how many per alloy; tolerance: of the strength curve, or of surrogates; surrogate:
@@ -239,7 +239,7 @@ def run_with_bands(
     if scene.immersion[-1].seconds == 0:
         raise SceneError("--samples is given and no immersion time is above 0; one must be")
     with open_run(scene, out, resume) as (folder, solid):
-        cycle = BandedLifeCycle(
+        cycle = BandedRun(
             scene,
             folder,
             samples=samples,

@@ -33,7 +33,7 @@ from pipeline.campaigns.banded import samples_of
 from pipeline.campaigns.options import COATING
 from pipeline.campaigns.strength import CURVE_FOLDER, CurveTests, curve_to
 from pipeline.campaigns.varied import Choice, Range, changed, read_vary
-from pipeline.life_cycle import LifeCycle
+from pipeline.life_cycle import StagedRun
 from pipeline.record.machine import processor_cores
 from pipeline.record.progress import Progress
 from pipeline.record.run_folder import StageRecord, write_text
@@ -97,7 +97,7 @@ class Candidate:
         return self.peak / target.force - 1.0
 
 
-class _Quietly(LifeCycle):
+class _Quietly(StagedRun):
     """A life cycle without a report."""
 
     def report(self, again: bool = False) -> StageRecord | None:

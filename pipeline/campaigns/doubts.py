@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 import perilife_data
 from pipeline.campaigns.strength import take_over
-from pipeline.life_cycle import LifeCycle
+from pipeline.life_cycle import StagedRun
 from pipeline.record.doubts import Next, Source
 from pipeline.record.progress import Progress
 from pipeline.record.run_folder import RunFolder, RunFolderError
@@ -122,7 +122,7 @@ class OtherAssumptions:
         folder = RunFolder(self.folder / name)
         if not folder.geometry.exists():
             take_over(self.run.geometry, folder.geometry)
-        cycle = LifeCycle(scene, folder, **self.how)
+        cycle = StagedRun(scene, folder, **self.how)
         cycle.geometry()
         cycle.corrode(self.alloy)
         first, *_, last = scene.with_intact()

@@ -17,7 +17,7 @@ from scipy.optimize import brentq
 from peri.omissions.planning import Omission
 from pipeline.calibration.models import Implant, ReducedModel, liquid_omission
 from pipeline.calibration.strength_curve import StrengthCurve, strength_curve
-from pipeline.life_cycle import LifeCycle
+from pipeline.life_cycle import StagedRun
 from pipeline.record.progress import Progress
 from pipeline.record.run_folder import RunFolder
 from pipeline.scene.loads import LOADS
@@ -110,7 +110,7 @@ class CurveTests:
         folder = RunFolder(self.folder / "-".join(ends))
         if self.geometry is not None and not folder.geometry.exists():
             take_over(self.geometry, folder.geometry)
-        cycle = LifeCycle(scene, folder, **self.how)
+        cycle = StagedRun(scene, folder, **self.how)
         cycle.geometry()
         cycle.corrode(self.alloy)
         asked = scene.hold(hold)

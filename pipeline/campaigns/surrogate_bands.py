@@ -19,7 +19,7 @@ from pipeline.campaigns.banded import Banded, Samples, Strength
 from pipeline.campaigns.doubts import CANDIDATES
 from pipeline.campaigns.strength import take_over
 from pipeline.geometry.surface import Solid
-from pipeline.life_cycle import LifeCycle
+from pipeline.life_cycle import StagedRun
 from pipeline.record.doubts import Source
 from pipeline.record.progress import Progress
 from pipeline.record.run_folder import RunFolder
@@ -115,7 +115,7 @@ class MarchedSamples:
         folder = RunFolder(self.run.path / self.alloy / FOLDER / name)
         if not folder.geometry.exists():
             take_over(self.run.geometry, folder.geometry)
-        cycle = LifeCycle(scene, folder, **self.how)
+        cycle = StagedRun(scene, folder, **self.how)
         cycle.geometry()
         losses = cycle.corrode(self.alloy).numbers["volume_loss"][1:]
         tests = [(self.alloy, m, hold) for hold in scene.holds for m in self.later]

@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from pipeline.campaigns.store import StoreFolder
-from pipeline.life_cycle import LifeCycle
+from pipeline.life_cycle import StagedRun
 from pipeline.record.machine import child_environment
 from pipeline.record.worker import Worker, WorkerEndedError, serve
 from pipeline.scene.scene import Scene, scene_from_json
@@ -114,7 +114,7 @@ def workers_of(executor: Executor) -> Iterator[None]:
 def perform(content: dict) -> None:
     """Do a task in this process; a stage that the store has is left as it is."""
     scene = scene_from_json(content["scene"])
-    cycle = LifeCycle(scene, StoreFolder(content["store"], scene), workers=1, pull_here=True)
+    cycle = StagedRun(scene, StoreFolder(content["store"], scene), workers=1, pull_here=True)
     if content["stage"] == "geometry":
         cycle.geometry()
     elif content["stage"] == "corrode":

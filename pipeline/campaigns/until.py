@@ -20,7 +20,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq
 
 from pipeline.campaigns.strength import take_over
-from pipeline.life_cycle import LifeCycle
+from pipeline.life_cycle import StagedRun
 from pipeline.record.progress import Progress
 from pipeline.record.run_folder import RunFolder, StageRecord
 from pipeline.record.run_results import column, read_run
@@ -167,7 +167,7 @@ def _round(seconds: float, low: float, high: float) -> float:
     return hours if low + edge <= hours <= high - edge else float(round(seconds))
 
 
-class UntilLifeCycle(LifeCycle):
+class UntilRun(StagedRun):
     """A life cycle that finds, before its report, when each alloy becomes too weak."""
 
     def __init__(self, scene: Scene, folder: RunFolder, *, wanted: Wanted, **more: object):
@@ -273,7 +273,7 @@ class UntilLifeCycle(LifeCycle):
         folder = RunFolder(self.folder.path / alloy / UNTIL_FOLDER / moment.label)
         if not folder.geometry.exists():
             take_over(self.folder.geometry, folder.geometry)
-        cycle = LifeCycle(
+        cycle = StagedRun(
             scene, folder, ranks=self.ranks, workers=self.workers, progress=self.progress,
             march_ranks=self.march_ranks,
         )  # fmt: skip
@@ -323,7 +323,7 @@ def run_until(
         folder,
         solid,
     ):
-        return UntilLifeCycle(
+        return UntilRun(
             scene, folder, wanted=wanted, ranks=ranks, workers=workers, progress=progress,
             solid=solid, march_ranks=march_ranks,
         ).run()  # fmt: skip

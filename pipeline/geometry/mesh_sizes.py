@@ -8,21 +8,25 @@ import numpy as np
 
 
 def set_sizes(
-    size: float, size_fine: float, ends: Sequence[tuple[float, float]] = (), surface: bool = False
+    size: float, size_fine: float, ends: Sequence[tuple[float, float]], edges: Sequence[int]
 ) -> None:
     """Edge lengths (mm) of the cells of the loaded model.
 
-    size: in the bulk; size_fine: on the sharp edges, or on the whole `surface`; ends: z of an end
-    and the edge length within two of these lengths of it.  Each grows to `size` over a distance of
-    2 `size`, that of the surface as the mesher grows its cells inward; the smallest counts.
+    size: in the bulk; size_fine: on the sharp `edges` (tags of curves), or on the whole surface
+    where there are none; ends: z of an end and the edge length within two of these lengths of it.
+    Each grows to `size` over a distance of 2 `size`, that of the surface as the mesher grows its
+    cells inward; the smallest counts.
     """
     for name in ("FromPoints", "FromCurvature"):
         gmsh.option.setNumber(f"Mesh.MeshSize{name}", 0)
-    inward = -3 if surface else 0  # into the volume only: seams of patches are ragged and short
+    # into the volume only: seams of patches are ragged and short
+    inward = 0 if len(edges) else -3
     gmsh.option.setNumber("Mesh.MeshSizeExtendFromBoundary", inward)
     fields = []
     if size_fine < size:
-        fields.append(_on_surface(size, size_fine) if surface else _at_edges(size, size_fine))
+        fields.append(
+            _at_edges(edges, size, size_fine) if len(edges) else _on_surface(size, size_fine)
+        )
     fields += [_at_level(level, end, size) for level, end in ends]
     if not fields:
         gmsh.option.setNumber("Mesh.MeshSizeMax", size)
@@ -32,13 +36,12 @@ def set_sizes(
     gmsh.model.mesh.field.setAsBackgroundMesh(least)
 
 
-def _at_edges(size: float, size_fine: float) -> int:
-    """A field by the distance to the sharp edges of the model."""
+def _at_edges(edges: Sequence[int], size: float, size_fine: float) -> int:
+    """A field by the distance to curves of the model."""
     field = gmsh.model.mesh.field
     distance = field.add("Distance")
-    edges = [tag for _, tag in gmsh.model.getEntities(1)]
     longest = max((_curve_length(tag) for tag in edges), default=1.0)
-    field.setNumbers(distance, "CurvesList", edges)
+    field.setNumbers(distance, "CurvesList", list(edges))
     field.setNumber(distance, "Sampling", max(20, min(2000, math.ceil(2 * longest / size_fine))))
     return _growing(distance, size_fine, size, 0.5 * size_fine)
 

@@ -206,7 +206,7 @@ def tetrahedral_mesh(
 
     ``size_fine`` (default: half of ``size``) holds on the sharp edges of the solid - the helices
     of a thread, the outline of slot and end faces - and grows to ``size`` over 2 ``size``; on a
-    solid from an image, whose edges are not known, it holds on the whole surface;
+    solid without sharp edges, as one from an image, it holds on the whole surface;
     ``size_ends`` likewise within two of these lengths of the lowest and of the highest z (None:
     nothing is refined there). Straight edges, nodes exactly on the end planes. Attempts with other
     algorithms and slightly other sizes follow if gmsh fails. ValueError for sizes out of range or
@@ -233,7 +233,7 @@ def tetrahedral_mesh(
     for plane, space, factor in MESH_ATTEMPTS:
         try:
             with _gmsh_session():
-                _load_solid(solid)
+                edges = _load_solid(solid)
                 scale = factor * MM
                 set_sizes(
                     size * scale,
@@ -243,7 +243,7 @@ def tetrahedral_mesh(
                         for z, end in zip(levels, size_ends, strict=True)
                         if end
                     ],
-                    solid.voxels is not None,
+                    edges,
                 )
                 points, cells = _mesh_model(plane, space)
         except (MemoryError, RuntimeError):
@@ -359,24 +359,20 @@ def _load_cad(cad: str) -> int:
     return _one_volume(shapes, "model")[1]
 
 
-def _load_solid(solid: Solid) -> None:
-    """Load a solid's CAD model, or make a model of the patches of its triangles."""
+def _load_solid(solid: Solid) -> list[int]:
+    """Load a solid's CAD model, or make a model of the patches of its triangles.
+
+    Returns the model's curves along sharp edges; of a solid from an image, none.
+    """
     if solid.cad:
         _load_cad(solid.cad)
-        return
-    if solid.voxels is not None:
-        load_patches(solid.points * MM, solid.triangles)
-    else:
-        mesh = gmsh.model.mesh
-        patch = gmsh.model.addDiscreteEntity(2)
-        tags = np.arange(1, len(solid.points) + 1)
-        mesh.addNodes(2, patch, tags, (solid.points * MM).ravel())
-        mesh.addElementsByType(patch, 2, [], solid.triangles.ravel() + 1)
-        mesh.classifySurfaces(STL_EDGE_ANGLE, True, True, math.pi)
-        mesh.createGeometry()
+        return [tag for _, tag in gmsh.model.getEntities(1)]
+    sharp = math.pi if solid.voxels is not None else STL_EDGE_ANGLE
+    edges = load_patches(solid.points * MM, solid.triangles, sharp)
     loop = gmsh.model.geo.addSurfaceLoop([tag for _, tag in gmsh.model.getEntities(2)])
     gmsh.model.geo.addVolume([loop])
     gmsh.model.geo.synchronize()
+    return edges
 
 
 def _one_volume(shapes: list[tuple[int, int]], what: str) -> tuple[int, int]:

@@ -336,14 +336,14 @@ def test_an_interrupted_march_goes_on_from_its_checkpoint(tmp_path):
 
 def test_two_ranks_pull_as_one(run, tmp_path):
     """`mpirun -n 2` gives the peak force of one process to solver tolerance."""
-    from pipeline.life_cycle import LifeCycle
+    from pipeline.life_cycle import StagedRun
 
     out = tmp_path / "run"
     shutil.copytree(run[0], out)
     scene = _scene()
     before = read_summary(out / "summary.csv")
     moment = scene.immersion[1]
-    cycle = LifeCycle(scene, out, ranks=2)
+    cycle = StagedRun(scene, out, ranks=2)
     cycle.folder.forget(cycle.folder.test("Mg-5Gd", moment.label, "shank"), "pull")
     record = cycle.pull([("Mg-5Gd", moment, scene.holds[0])])[0]
     # residual tolerance 1e-5 of the reaction

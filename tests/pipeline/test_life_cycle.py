@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from pipeline import life_cycle
-from pipeline.life_cycle import LifeCycle
+from pipeline.life_cycle import StagedRun
 from pipeline.record.progress import LineProgress, Progress
 from pipeline.record.run_folder import RunFolder, RunFolderError, StageRecord, write_text
 from pipeline.record.stage_hashes import STAGE_REVISION
@@ -110,12 +110,12 @@ def test_a_test_that_was_stopped_is_said(tmp_path, calls, monkeypatch):
     monkeypatch.setattr(Progress, "note", lambda self, text: said.append(text))
     result = {"peak_force": 1.0, "elongation_at_peak": 0.02, "status": "stopped: no way"}
     monkeypatch.setattr(life_cycle, "read_result", lambda folder: result)
-    LifeCycle(_scene("0w"), tmp_path).run()
+    StagedRun(_scene("0w"), tmp_path).run()
     assert "pull Mg-A 0w shank: stopped: no way; its peak is a lower bound" in said
 
 
 def test_stages_run_in_order_and_fill_the_table(tmp_path, calls):
-    rows = LifeCycle(_scene("0w", "1w", "8w"), tmp_path).run()
+    rows = StagedRun(_scene("0w", "1w", "8w"), tmp_path).run()
     assert calls == [
         "geometry",
         "corrode Mg-A",
@@ -135,7 +135,7 @@ def test_stages_run_in_order_and_fill_the_table(tmp_path, calls):
 
 def test_the_intact_solid_is_pulled_even_when_time_zero_is_not_asked_for(tmp_path, calls, capsys):
     progress = LineProgress(sys.stderr)
-    rows = LifeCycle(_scene("1w", "8w"), tmp_path, progress=progress).run()
+    rows = StagedRun(_scene("1w", "8w"), tmp_path, progress=progress).run()
     assert "pull Mg-A 0w shank" in calls
     assert [row.immersion_days for row in rows] == [7, 56]
     assert [row.strength_ratio for row in rows] == [0.75, 0.0]
@@ -157,7 +157,7 @@ def test_cells_that_lock_are_named_before_they_are_turned(
         scene.tensile, load=load, element=element, bending_azimuth=azimuth, lateral="clamped"
     )
     held = dataclasses.replace(scene, holds=(HoldScene("shank", MESH, test),))
-    cycle = LifeCycle(held, tmp_path, progress=LineProgress(sys.stderr))
+    cycle = StagedRun(held, tmp_path, progress=LineProgress(sys.stderr))
     with pytest.raises(RunFolderError):  # nothing is mapped yet
         cycle.pull([("Mg-A", held.immersion[0], held.holds[0])])
     words = "of a plastic bar in torsion by 59 % with P1, 7 % with P1-Fbar"
@@ -166,35 +166,35 @@ def test_cells_that_lock_are_named_before_they_are_turned(
 
 def test_a_finished_run_is_kept(tmp_path, calls):
     scene = _scene("0w", "1w", "8w")
-    first = LifeCycle(scene, tmp_path).run()
+    first = StagedRun(scene, tmp_path).run()
     calls.clear()
-    assert LifeCycle(scene, tmp_path).run() == first
+    assert StagedRun(scene, tmp_path).run() == first
     assert calls == []
-    LifeCycle(scene, tmp_path).report(again=True)
+    StagedRun(scene, tmp_path).report(again=True)
     assert calls == ["report"]
 
 
 def test_a_lost_output_is_made_again_with_what_needs_it(tmp_path, calls):
     scene = _scene("0w", "1w")
-    LifeCycle(scene, tmp_path).run()
+    StagedRun(scene, tmp_path).run()
     calls.clear()
     (tmp_path / "Mg-A" / "1w" / "shank" / "damage.h5").unlink()
     (tmp_path / "Mg-A" / "0w" / "shank" / "tensile.csv").unlink()
-    LifeCycle(scene, tmp_path).run()
+    StagedRun(scene, tmp_path).run()
     assert calls == ["map Mg-A 1w shank", "pull Mg-A 0w shank", "report"]
 
 
 def test_another_mesh_repeats_all_but_the_corrosion(tmp_path, calls):
-    LifeCycle(_scene("0w", "8w"), tmp_path).run()
+    StagedRun(_scene("0w", "8w"), tmp_path).run()
     calls.clear()
-    LifeCycle(_scene("0w", "8w", holds=_holds("shank", mesh=FINER)), tmp_path).run()
+    StagedRun(_scene("0w", "8w", holds=_holds("shank", mesh=FINER)), tmp_path).run()
     assert calls[0] == "geometry"
     assert "corrode Mg-A" not in calls
     assert {"map Mg-A 8w shank", "pull Mg-A 8w shank"} <= set(calls)
 
 
 def test_one_geometry_and_one_corrosion_serve_every_way_of_holding(tmp_path, calls):
-    rows = LifeCycle(_scene("0w", "8w", holds=_holds("shank", "slot", "faces")), tmp_path).run()
+    rows = StagedRun(_scene("0w", "8w", holds=_holds("shank", "slot", "faces")), tmp_path).run()
     assert calls.count("geometry") == calls.count("corrode Mg-A") == 1
     assert [(row.hold, row.immersion_days) for row in rows] == [
         (hold, days) for hold in ("shank", "slot", "faces") for days in (0, 56)
@@ -204,20 +204,20 @@ def test_one_geometry_and_one_corrosion_serve_every_way_of_holding(tmp_path, cal
     # what only one way of holding needs is all that is made again
     calls.clear()
     (jobs["slot"] / "tensile.csv").unlink()
-    LifeCycle(_scene("0w", "8w", holds=_holds("shank", "slot", "faces")), tmp_path).run()
+    StagedRun(_scene("0w", "8w", holds=_holds("shank", "slot", "faces")), tmp_path).run()
     assert calls == ["pull Mg-A 8w slot", "report"]
 
 
 def test_pulls_of_older_code_are_repeated(tmp_path, calls, monkeypatch):
     scene = _scene("0w", "8w")
-    LifeCycle(scene, tmp_path).run()
+    StagedRun(scene, tmp_path).run()
     calls.clear()
     monkeypatch.setitem(STAGE_REVISION, "pull", STAGE_REVISION["pull"] + 1)
-    LifeCycle(scene, tmp_path).run()
+    StagedRun(scene, tmp_path).run()
     assert calls == ["pull Mg-A 0w shank", "pull Mg-A 8w shank", "report"]
     calls.clear()
     monkeypatch.setitem(STAGE_REVISION, "report", STAGE_REVISION["report"] + 1)
-    LifeCycle(scene, tmp_path).run()
+    StagedRun(scene, tmp_path).run()
     assert calls == ["report"]
 
 
@@ -226,7 +226,7 @@ def test_an_interrupted_stage_is_not_complete(tmp_path, calls, monkeypatch):
         raise KeyboardInterrupt
 
     scene = _scene("0w", "8w")
-    cycle = LifeCycle(scene, tmp_path)
+    cycle = StagedRun(scene, tmp_path)
     cycle.geometry()
     with monkeypatch.context() as patch:
         patch.setattr("pipeline.stages.corrosion.corrode_in_folder", interrupted)
@@ -235,13 +235,13 @@ def test_an_interrupted_stage_is_not_complete(tmp_path, calls, monkeypatch):
     with pytest.raises(RunFolderError, match="`perilife corrode`"):
         cycle.map("Mg-A", scene.immersion[0], scene.holds[0])
     calls.clear()
-    LifeCycle(scene, tmp_path).run()
+    StagedRun(scene, tmp_path).run()
     assert calls[0] == "corrode Mg-A"
 
 
 def test_a_damaged_file_is_named_and_its_stage_done_again(tmp_path, calls, capsys):
     scene = _scene("0w", "1w")
-    cycle = LifeCycle(scene, tmp_path, progress=LineProgress(sys.stderr))
+    cycle = StagedRun(scene, tmp_path, progress=LineProgress(sys.stderr))
     cycle.run()
     table = (tmp_path / "summary.csv").read_text()
     made = {
@@ -273,7 +273,7 @@ def test_a_damaged_file_is_named_and_its_stage_done_again(tmp_path, calls, capsy
 
 def test_a_stage_command_refuses_to_build_on_a_damaged_file(tmp_path, calls):
     scene = _scene("0w", "1w")
-    cycle = LifeCycle(scene, tmp_path)
+    cycle = StagedRun(scene, tmp_path)
     cycle.run()
     (tmp_path / "Mg-A" / "1w" / "shank" / "damage.h5").write_text("f1")
     changed = r"'Mg-A/1w/shank/damage.h5' was changed.*perilife map"

@@ -175,9 +175,9 @@ def test_a_test_that_was_killed_begins_anew(tmp_path, monkeypatch):
     checkpoint.touch()
     there = []
     monkeypatch.setattr(
-        task.LifeCycle, "map", lambda self, *test: there.append(checkpoint.exists())
+        task.StagedRun, "map", lambda self, *test: there.append(checkpoint.exists())
     )
-    monkeypatch.setattr(task.LifeCycle, "pull", lambda self, tests: None)
+    monkeypatch.setattr(task.StagedRun, "pull", lambda self, tests: None)
     task.perform(wave.to_json())
     assert there == [False]
 

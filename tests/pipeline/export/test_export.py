@@ -14,7 +14,7 @@ from pipeline.cli import main
 from pipeline.export.inp import damage_classes, write_inp
 from pipeline.export.state import CorrodedState, read_state
 from pipeline.geometry.mesh import cell_volumes
-from pipeline.life_cycle import LifeCycle
+from pipeline.life_cycle import StagedRun
 from pipeline.scene.resolve import resolve_scene
 from pipeline.scene.scene import (
     DomainSettings,
@@ -45,7 +45,7 @@ def run(tmp_path_factory):
         tensile={"element": "P2", "damage": "point"},
     )
     with open_run(scene, tmp_path_factory.mktemp("export") / "run", False) as (folder, solid):
-        cycle = LifeCycle(scene, folder, solid=solid)
+        cycle = StagedRun(scene, folder, solid=solid)
         cycle.geometry()
         cycle.corrode("Mg-5Gd")
         for moment in scene.immersion:

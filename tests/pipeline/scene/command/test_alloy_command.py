@@ -7,7 +7,7 @@ import pytest
 import perilife_data
 from perilife_data.template import alloy_template
 from pipeline.cli import main
-from pipeline.life_cycle import LifeCycle
+from pipeline.life_cycle import StagedRun
 from pipeline.report.provenance import parameter_rows
 from pipeline.scene.resolve import NO_PARAMETERS, OWN_PARAMETERS, resolve_scene
 from pipeline.scene.scene import (
@@ -83,7 +83,7 @@ def test_without_constants_an_alloy_is_pulled_and_not_corroded(tmp_path):
     assert scene_from_json(scene.to_json()) == scene
     assert [row for row in parameter_rows(scene) if row.section == "Corrosion"] == []
     with open_run(scene, tmp_path / "run", False) as (folder, solid):
-        cycle = LifeCycle(scene, folder, solid=solid)
+        cycle = StagedRun(scene, folder, solid=solid)
         cycle.geometry()
         corroded = cycle.corrode("WE43").numbers
         mapped = cycle.map("WE43", scene.immersion[0], scene.holds[0]).numbers
