@@ -27,15 +27,19 @@ def element_error(
     held : (E, n) totals dissolved, mol/m3
     amounts : (M, n) minerals, mol/m3
     numbers : of the state: `taken` (metal, mol), `left_...` and, with storage, `given_...` by
-        component (mol): at first, and with the pores of nodes that turned liquid
+        component (mol): at first, and with the pores of nodes that turned liquid; `charge` (mol)
+        that an applied current has carried through the metal
     stores : whether the liquid has a content
     """
     for mineral, amount in zip(liquid.minerals, amounts, strict=True):
         held = held + mineral.nu[:, None] * amount
     worst = 0.0
+    chemistry = liquid.chemistry
+    hydroxide = chemistry.stoichiometry[chemistry.index("OH")]
     for n, name in enumerate(liquid.chemistry.components):
         given = numbers.get(f"given_{name}", 0.0)
         released = float(liquid.released[n]) * numbers["taken"]
+        released -= hydroxide[n] * numbers.get("charge", 0.0)
         error = given + released - liquid.space.total(held[n]) - numbers[f"left_{name}"]
         scale = abs(given) + (abs(released) if stores else numbers["taken"])
         worst = max(worst, abs(error) / scale if scale > 0 else abs(error))

@@ -24,9 +24,12 @@ from peri.corrosion.nodes.problem import COLUMNS, CorrosionProblem
 from peri.corrosion.scene import CorrosionScene
 from peri.coupled.bath import Bath, BathLiquid
 from peri.coupled.booking import element_error
+from peri.coupled.charge_balance import ELECTRONS, ChargeBalance, check_one_piece
 from peri.coupled.feedback import OF_THE_LIQUID, Agreement, beside_metal, medium_beside
 from peri.coupled.liquid_fields import LiquidFields
+from peri.coupled.outputs import composition
 from peri.coupled.surroundings import HYDROGEN_PER_METAL, Surroundings
+from peri.engine.constants import FARADAY
 from peri.engine.march.checkpoints import fingerprint
 from peri.engine.march.problem import Attempt, BoundsError, Fields, Stage, State
 from peri.engine.march.stepping import GAMMA
@@ -71,7 +74,7 @@ class Degradation(CorrosionProblem):
     Raises
     ------
     ValueError
-        As Surroundings does.
+        As Surroundings and ChargeBalance do; for a closure or a bath that a current excludes.
     """
 
     def __init__(
@@ -84,18 +87,27 @@ class Degradation(CorrosionProblem):
         storage: bool | None = None,
         bath: Bath | None = None,
     ) -> None:
-        super().__init__(scene, solver_tolerance, given=OF_THE_LIQUID)
-        reads = scene.needs & OF_THE_LIQUID if self.discrete.box is not None else ()
+        self.charge_balance = ChargeBalance.of(scene)
+        given = OF_THE_LIQUID | ({"potential"} if self.charge_balance else set())
+        super().__init__(scene, solver_tolerance, given=given)
+        reads = scene.needs & given if self.discrete.box is not None else ()
         self._reads = tuple(sorted(reads))
         self.of_the_box = (*self.of_the_box, *(f"seen_{name}" for name in self._reads))
         self.discrete.surface |= medium_beside(medium)
         self.medium, self.options = medium, options or TransportOptions()
+        if self.charge_balance is not None:
+            self.charge_balance.check(self.options.closure, bath is not None)
         self._surroundings: Surroundings | None = None
         self._at_start: np.ndarray | None = None
         self.stores = self._must_store() if storage is None else storage
         if self.stores:
             # The liquid's balance is no better than that of what the metal releases into it.
             self.discrete.tolerance = min(solver_tolerance, 1e-12)
+        if self.charge_balance is not None:
+            clean = {"liquid_potential": 0.0, **self.discrete.surface}
+            metal = self.discrete.initial_concentration
+            first, _ = self.charge_balance.find(self.surroundings, metal, None, clean)
+            self.discrete.surface["potential"] = first
         self.first = self._first_liquid()
         self.bath = None if bath is None else BathLiquid(bath, medium)
         if bath is not None and not self.discrete.fixed.any():
@@ -116,6 +128,8 @@ class Degradation(CorrosionProblem):
         if self.bath is not None:
             self.evolved = (*self.evolved, "bath")
             self.columns |= {"bath_ph": "1"}
+        if self.charge_balance is not None:
+            self.columns |= {"metal_potential": "V", "applied_charge": "C"}
         if self.stores or bath is not None:
             self.columns |= {"element_error": "1"}
 
@@ -139,6 +153,8 @@ class Degradation(CorrosionProblem):
         """The liquid of the present phases."""
         if self._surroundings is None:
             self._surroundings = Surroundings(self.discrete, self.medium, self.options, self.stores)
+            if self.charge_balance is not None:
+                check_one_piece(self._surroundings.space)
         return self._surroundings
 
     @property
@@ -178,6 +194,7 @@ class Degradation(CorrosionProblem):
         if self.stores:
             return around.liquid.rest()
         source = around.source(self.discrete.initial_concentration, None, 0.0)
+        self._carry({"concentration": self.discrete.initial_concentration})
         return around.liquid.solve(source, minerals=False)
 
     def _any_forms(self) -> bool:
@@ -192,10 +209,25 @@ class Degradation(CorrosionProblem):
         """The liquid of a state of the march."""
         if self.bath is not None:
             self._hold(state.fields["bath"])
+        self._carry(state.fields)
         if self.stores or (self.follows_minerals and state.time > 0):
             # As the last stage left it: its minerals' rates are those of that stage.
             return self.on_nodes.read(state.fields)
         return self.surroundings.liquid.solve(self._source(state), minerals=self.follows_minerals)
+
+    def _carry(self, fields: Fields) -> np.ndarray | None:
+        """Give the liquid the charge that anodes and cathodes set free apart, mol/m3/s, (n,)."""
+        if self.charge_balance is None:
+            return None
+        around, chemistry = self.surroundings, self.medium.chemistry
+        seen = {n: self.discrete.surface[n] for n in ("ph", "magnesium", "potential")}
+        charge = self.charge_balance.charge(
+            around, fields["concentration"], fields.get("theta"), seen
+        )
+        # A missing cathode is OH- that is not set free.
+        hydroxide = chemistry.stoichiometry[chemistry.index("OH")]
+        around.liquid.beside = np.multiply.outer(-hydroxide, charge)
+        return charge
 
     def _source(self, state: State) -> np.ndarray:
         """What the liquid takes up per node, mol/m3/s: from the interface, and of the rest."""
@@ -213,6 +245,9 @@ class Degradation(CorrosionProblem):
         for name in self._reads:
             medium = float(self.discrete.surface[name])
             state.fields[f"seen_{name}"] = np.full(self.discrete.box.padded_shape, medium)
+        if self.charge_balance is not None:
+            potential = float(self.discrete.surface["potential"])
+            state.numbers |= {"metal_potential": potential, "charge": 0.0}
         if self.follows_minerals:
             count = len(self.medium.chemistry.minerals)
             shape = self.discrete.sum.padded_shape
@@ -316,8 +351,12 @@ class Degradation(CorrosionProblem):
         """Metal and liquid that agree: what the metal reads is the liquid that it makes."""
         if not self._reads:
             return self._joined(old, tau, guess)
-        agreement = Agreement(self.discrete, {n: guess.fields[f"seen_{n}"] for n in self._reads})
-        iterations = 0
+        balance, iterations = self.charge_balance, 0
+        agreement = Agreement(
+            self.discrete,
+            {n: guess.fields[f"seen_{n}"] for n in self._reads},
+            balance and (lambda seen, _: balance.rates(self.discrete.box_phase, seen)),
+        )
         while True:
             seen = {f"seen_{name}": values for name, values in agreement.seen.items()}
             fields = {**guess.fields, **seen}
@@ -326,6 +365,10 @@ class Degradation(CorrosionProblem):
             iterations += stage.iterations
             around, liquid = self.surroundings, self.on_nodes.read(stage.fields)
             found = beside_metal(around, liquid, self.on_nodes.at(stage.fields["minerals"]))
+            if balance is not None:
+                new, theta = stage.fields["concentration"], stage.fields.get("theta")
+                metal, found["potential"] = balance.find(around, new, theta, found, agreement.seen)
+                stage.numbers["metal_potential"] = metal
             if agreement.with_(found, stage.numbers["volume_loss"]):
                 stage.iterations = iterations
                 return stage
@@ -342,6 +385,9 @@ class Degradation(CorrosionProblem):
         rest = nodes.put(old["rest"], nodes.at(old["rest"]) / (1.0 + tau / REST_TIME))
         stage.fields["rest"] = rest
         source = self._source(State(guess.time, stage.fields, stage.numbers))
+        charge = self._carry(stage.fields)
+        if charge is not None:
+            stage.rates["charge"] = around.space.total(charge)
         held, span = old["minerals"], tau
         if self._at_start is not None and held is not self._at_start and held.min(initial=0.0) < 0:
             # The second stage of a step in which a mineral vanishes: this one field is taken from
@@ -392,7 +438,9 @@ class Degradation(CorrosionProblem):
         """The metal's row, hydrogen and, while minerals are followed, pH and their amounts."""
         metal = super().row(state)
         dissolved = self._dissolved(state, metal[1])
-        row = (*metal, HYDROGEN_PER_METAL * dissolved)
+        # Electrons that an applied current takes away reduce no water.
+        electrons = state.numbers.get("charge", 0.0) / ELECTRONS
+        row = (*metal, HYDROGEN_PER_METAL * (dissolved - electrons))
         if not self.follows_minerals:
             return row
         around = self.surroundings
@@ -401,6 +449,9 @@ class Degradation(CorrosionProblem):
         row = (*row, float(ph), *(around.space.total(a) for a in amounts))
         if self.bath is not None:
             row = (*row, float(self._hold(state.fields["bath"]).ph[0]))
+        if self.charge_balance is not None:
+            numbers = state.numbers
+            row = (*row, numbers["metal_potential"], FARADAY * numbers["charge"])
         booked = self.stores or self.bath is not None
         return (*row, self._element_error(state)) if booked else row
 
@@ -424,58 +475,23 @@ class Degradation(CorrosionProblem):
         return element_error(around.liquid, held, amounts, state.numbers, self.stores)
 
     def snapshot(self, state: State) -> dict[str, np.ndarray | float]:
-        """The metal's snapshot, and the liquid's composition on the lattice.
+        """The metal's snapshot, and the liquid's composition on the lattice (outputs.composition).
 
-        `ph`, `potential` (V), `species` (K, ...) in mol/m3 and `minerals` (M, ...), float32, NaN
-        off the computed liquid; `balance` (largest relative error of a component), `net_charge`
-        (over the ionic strength), `lowest` (concentration, mol/m3), `pockets`, `pocket_share`,
-        `largest_potential` (V; its bound where it is left
-        out) and `index_<mineral>`, the highest saturation index.
+        `balance` : largest relative error of a component;  `released` : metal, mol/s.
         """
         around = self.surroundings
-        liquid, space = around.liquid, around.space
         self._surround(state)
-        found = self.liquid_at(state)
-        source = self._source(state)
-        concentration = liquid.neutral_concentration(found)
-        bath = self.medium if self.bath is None else self._hold(state.fields["bath"])
-        edge = bath.concentration[:, 0]
-        strength = 0.5 * liquid.chemistry.charge**2 @ concentration
-        charge = np.abs(liquid.chemistry.charge @ concentration) / strength
-        out = super().snapshot(state)
-        volt = liquid.thermal_voltage
-        out["ph"] = space.crop(liquid.ph(found), float(bath.ph[0])).astype(np.float32)
-        out["potential"] = space.crop(volt * found.psi, 0.0).astype(np.float32)
-        out["species"] = np.array(
-            [space.crop(c, e) for c, e in zip(concentration, edge, strict=True)], np.float32
-        )
-        amounts = np.zeros((len(self.medium.chemistry.minerals), space.n))
+        found, source = self.liquid_at(state), self._source(state)
+        amounts = np.zeros((len(self.medium.chemistry.minerals), around.space.n))
         if self.follows_minerals:
             amounts = self.on_nodes.at(state.fields["minerals"])
-        out["minerals"] = np.array([space.crop(a, 0.0) for a in amounts], np.float32).reshape(
-            len(amounts), *space.sum.lattice_shape
-        )
+        bath = self.medium if self.bath is None else self._hold(state.fields["bath"])
+        out = super().snapshot(state) | composition(around, found, amounts, bath)
         # Phases may have changed after the last stage; then its balance is that of the step before.
         known = not self.follows_minerals or not state.numbers["dissolved"]
         balance = 0.0
         if self.stores or self.bath is not None:
             balance = self._element_error(state)
         elif source.any() and known:
-            balance = float(liquid.balance(found, source).max())
-        out |= {
-            "balance": balance,
-            "net_charge": float(charge.max(initial=0.0)),
-            "lowest": float(concentration.min(initial=np.inf)),
-            "pockets": float(around.pockets),
-            "pocket_share": around.pocket_share,
-            "largest_potential": max(
-                liquid.potential_bound(found) if self.options.closure == "none" else 0.0,
-                float(np.abs(volt * found.psi).max(initial=0.0)),
-            ),
-            "released": space.total(source),
-        }
-        for mineral in liquid.minerals:
-            index = mineral.ln_omega(found.ln_component) / np.log(10.0)
-            highest = float(index[mineral.region].max(initial=-np.inf))
-            out[f"index_{mineral.name}"] = highest
-        return out
+            balance = float(around.liquid.balance(found, source).max())
+        return out | {"balance": balance, "released": around.space.total(source)}

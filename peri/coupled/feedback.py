@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 
 from peri.corrosion.nodes.bimaterial import BiMaterial
@@ -16,6 +18,11 @@ AGREED = 1e-7
 node's: far below the error of a controlled step (1e-3)."""
 
 _ROUNDS = 40
+_VOLT = 0.025
+"""V that change a rate about as much as one unit of pH."""
+
+Seen = dict[str, np.ndarray]
+Rates = Callable[[Seen, float], Sequence[np.ndarray] | np.ndarray]
 
 OF_THE_LIQUID = frozenset({"ph", "chloride", "magnesium", "layer"})
 """Quantities of peri.corrosion.kinetics.Exposed that come from here."""
@@ -43,7 +50,7 @@ def beside_metal(
 
     state : of the liquid;  amounts : (M, n) minerals, mol/m3.  The layer's thickness is the volume
     of the minerals per volume of liquid times the width of a cell, the liquid cell being what
-    stands in front of the metal.
+    stands in front of the metal.  `liquid_potential` is phi, V.
     """
     discrete, space, liquid = around.discrete, around.space, around.liquid
     if discrete.box is None:
@@ -75,21 +82,24 @@ def beside_metal(
     for mineral, amount in zip(chemistry.minerals, amounts, strict=True):
         thickness += mineral.molar_volume * amount * width
     found["layer"] = mean(thickness, 0.0)
+    found["liquid_potential"] = mean(liquid.thermal_voltage * state.psi, 0.0)
     return found
 
 
 class Agreement:
     """Rounds until the liquid that the metal reads is the one that its release makes.
 
-    discrete : the metal;  seen : what its kinetics reads, by name, padded box arrays to begin with.
+    discrete : the metal;  seen : what its kinetics reads, by name, padded box arrays to begin with;
+    rates : of the nodes by that and the volume loss, by default those of the kinetics.
 
     A liquid that resists change (the pH of one without a buffer follows the release at once) makes
     the plain rounds diverge, so they are mixed; a mixture below zero is not taken.
     """
 
-    def __init__(self, discrete: BiMaterial, seen: dict[str, np.ndarray]) -> None:
+    def __init__(self, discrete: BiMaterial, seen: Seen, rates: Rates | None = None) -> None:
         self.discrete, self.seen = discrete, seen
         self._sees = discrete.box_metal & (discrete.box_neighbour_liquid > 0)
+        self._rates = rates or self._own_rates
         self._mixing = Mixing()
         self._rounds = 0
 
@@ -99,7 +109,10 @@ class Agreement:
         Raises ConvergenceError after too many rounds.
         """
         there = {n: np.broadcast_to(found[n], self._sees.shape) for n in self.seen}
-        before, after = (self._rates(values, volume_loss) for values in (self.seen, there))
+        before, after = (
+            np.asarray(self._rates(values, volume_loss))[..., self._sees]
+            for values in (self.seen, there)
+        )
         apart = float(np.abs(after - before).max(initial=0.0))
         if apart <= AGREED * float(np.abs(after).max(initial=0.0)):
             return True
@@ -113,13 +126,12 @@ class Agreement:
         self.seen = self._mixed(there)
         return False
 
-    def _rates(self, seen: dict[str, np.ndarray], volume_loss: float) -> np.ndarray:
-        """Share of every node that sees liquid."""
+    def _own_rates(self, seen: Seen, volume_loss: float) -> np.ndarray:
         self.discrete.surface |= seen
         share = self.discrete.interface_rate(volume_loss)[1]
-        return np.asarray(share)[self._sees]
+        return np.broadcast_to(share, self._sees.shape)
 
-    def _mixed(self, there: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    def _mixed(self, there: Seen) -> Seen:
         scale = {n: _scale(n, values[self._sees]) for n, values in there.items()}
         old, new = (
             np.concatenate([values[n][self._sees] / scale[n] for n in self.seen])
@@ -142,5 +154,7 @@ _POSITIVE = frozenset({"chloride", "magnesium", "layer"})
 
 def _scale(name: str, values: np.ndarray) -> float:
     """What counts as much as one unit of pH: all of an amount."""
+    if name == "potential":
+        return _VOLT
     largest = float(np.abs(values).max(initial=0.0))
     return largest if name in _POSITIVE and largest > 0 else 1.0

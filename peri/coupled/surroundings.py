@@ -89,21 +89,41 @@ class Surroundings:
         discrete = self.discrete
         if discrete.box is None:
             return np.zeros(self.space.n)
-        values = discrete.take(concentration)
-        liquid = np.where(discrete.box_metal, 0.0, values)
+        liquid = np.where(discrete.box_metal, 0.0, discrete.take(concentration))
         rate, local = discrete.interface_rate(volume_loss, discrete.seen_liquid(liquid))
+        inflow = self._brought(concentration, theta, rate, local)
+        source = self.space.gather(discrete.put(inflow))
+        whole = float((inflow * discrete.box_free_volume).sum())
+        there = float(self.space.volume @ source)
+        self.pocket_share = 1.0 - there / whole if whole > 0 else 0.0
+        return source
+
+    def inflow(
+        self,
+        concentration: np.ndarray,
+        theta: np.ndarray | None,
+        rate: float,
+        local: np.ndarray | float,
+    ) -> np.ndarray:
+        """What the interface brings at a rate (m^2/s) and shares of the metal's nodes, (n,)."""
+        brought = self._brought(concentration, theta, rate, local)
+        return self.space.gather(self.discrete.put(brought))
+
+    def _brought(
+        self,
+        concentration: np.ndarray,
+        theta: np.ndarray | None,
+        rate: float,
+        local: np.ndarray | float,
+    ) -> np.ndarray:
+        discrete = self.discrete
+        values = discrete.take(concentration)
         volume = discrete.box_metal_volume * local
         inflow = rate * (discrete.box(volume * values) - values * discrete.box(volume))
         if theta is not None:
             inflow = inflow * theta
         free = discrete.box_free_volume > 0
-        inflow = np.where(free & ~discrete.box_metal, inflow, 0.0)
-        field = discrete.put(inflow)
-        source = self.space.gather(field)
-        whole = float((inflow * discrete.box_free_volume).sum())
-        there = float(self.space.volume @ source)
-        self.pocket_share = 1.0 - there / whole if whole > 0 else 0.0
-        return source
+        return np.where(free & ~discrete.box_metal, inflow, 0.0)
 
     def moved(self, values: np.ndarray, older: Surroundings) -> np.ndarray:
         """Rows (k, n) on this space from those on an older one.

@@ -30,7 +30,13 @@ from peri.transport.chemistry.composition import Composer, CompositionError
 from peri.transport.chemistry.minerals import MineralField, solve_mineral
 from peri.transport.chemistry.speciation import Solution
 from peri.transport.chemistry.species import LN10, MOLAR
-from peri.transport.fluxes import FLUX_FORMS, LARGEST_SQRA_STEP, largest_bond_step, migration
+from peri.transport.fluxes import (
+    FLUX_FORMS,
+    LARGEST_SQRA_STEP,
+    charge_groups,
+    largest_bond_step,
+    migration,
+)
 from peri.transport.liquid import LiquidSpace, LiquidState
 from peri.transport.permittivity import permittivity_of_water
 
@@ -90,6 +96,10 @@ class QuasiSteadyLiquid:
     surface : (n,) bool, nodes beside the metal, where minerals of the region "surface" may form
     options : TransportOptions
 
+    beside : (E, n) or 0, set before `solve`: what is set free of every component besides the
+        release, mol/m3/s.  It may carry a charge from node to node, a current, which the potential
+        then drives through the liquid.
+
     Raises
     ------
     ValueError
@@ -145,10 +155,11 @@ class QuasiSteadyLiquid:
             )
             for i, mineral in enumerate(chemistry.minerals)
         ]
-        self._groups = self._charge_groups()
+        self._groups = charge_groups(chemistry)
         if self.needs_a_way_out:
             self.plain = space.system()
-        self.inert = self._inert()
+        self.inert = medium.inert_ion()
+        self.beside: np.ndarray | float = 0.0
 
     def hold(self, concentration: np.ndarray) -> None:
         """Give the refreshed layer another composition, (K,), mol/m3; it must be neutral."""
@@ -156,22 +167,6 @@ class QuasiSteadyLiquid:
         chemistry = self.chemistry
         weighted = chemistry.diffusivity * self.edge
         self.bulk = (chemistry.stoichiometry.T @ weighted)[:, None]
-
-    def _charge_groups(self) -> list[tuple[int, float, np.ndarray]]:
-        """Per component and charge number: the weights nu_ke D_k of the species that carry it."""
-        nu, z, d = self.chemistry.stoichiometry, self.chemistry.charge, self.chemistry.diffusivity
-        groups = []
-        for e in range(nu.shape[1]):
-            for charge in np.unique(z[(nu[:, e] != 0) & (z != 0)]):
-                groups.append((e, float(charge), np.where(z == charge, nu[:, e] * d, 0.0)))
-        return groups
-
-    def _inert(self) -> int:
-        """The most abundant ion that takes part in no reaction; -1 where there is none."""
-        nu, z = self.chemistry.stoichiometry, self.chemistry.charge
-        alone = (nu != 0).sum(axis=0) == 1
-        content = self.medium.concentration[: alone.size, 0] * alone * (z[: alone.size] != 0)
-        return int(np.argmax(content)) if content.max() > 0 else -1
 
     def rest(self) -> LiquidState:
         """The medium everywhere: the state to start from."""
@@ -226,6 +221,14 @@ class QuasiSteadyLiquid:
             out[e] += space.gather(field_)
         return out
 
+    def inflow(self, state: LiquidState) -> np.ndarray:
+        """What diffusion has to carry off besides the release, (E, n): migration and `beside`."""
+        return self.migrate(state) + self.beside
+
+    def _check_current(self) -> None:
+        if np.ndim(self.beside) and self.options.closure not in ("electroneutral", "poisson"):
+            raise ValueError(f"closure: '{self.options.closure}' drives no current")
+
     # --- the solution ---------------------------------------------------------------------
 
     def solve(
@@ -262,6 +265,7 @@ class QuasiSteadyLiquid:
         state.iterations = state.sweeps = 0
         if scale == 0.0:
             scale = float(np.linalg.norm(space.volume)) * 1e-12
+        self._check_current()
         absolute = options.tolerance * scale
         before = state.release
         state.release, used = space.solve(self.plain, right, before, 0.1 * absolute)
@@ -367,7 +371,7 @@ class QuasiSteadyLiquid:
                 # A potential that follows round-off would only stir the ions.
                 if np.abs(excess / support).max(initial=0.0) > 0.1 * self.options.neutrality:
                     state.psi = state.psi + update
-            inflow = self.migrate(state)
+            inflow = self.inflow(state)
             residual = max(
                 float(np.linalg.norm(space.volume * inflow[e] - space.outflow(state.migrated[e])))
                 for e in range(inflow.shape[0])
@@ -479,6 +483,8 @@ class QuasiSteadyLiquid:
         space = self.space
         change = self.target(state) - self.bulk
         gained = self.released * space.total(source)
+        if np.ndim(self.beside):
+            gained = gained + np.array([space.total(row) for row in np.asarray(self.beside)])
         formed = self.formed(state)
         moved = np.array([space.total(space.exit * c) for c in change])
         carried = np.array([space.total(v) for v in self.migrate(state)])

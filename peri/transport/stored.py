@@ -119,6 +119,7 @@ class StoredLiquid(QuasiSteadyLiquid):
         ConvergenceError, CompositionError
             Where a shorter step will do.
         """
+        self._check_current()
         self._shift(step)
         space, options = self.space, self.options
         there = np.zeros((len(self.minerals), space.n)) if amounts is None else amounts
@@ -179,7 +180,7 @@ class StoredLiquid(QuasiSteadyLiquid):
                     psi = psi - psi.mean()
             trial = copy.copy(state)
             trial.psi = psi
-            inflow = self.migrate(trial) if psi.any() else np.zeros_like(content)
+            inflow = self.inflow(trial)
             change = self.target(state) - self.bulk
             right = space.volume * (
                 inflow - (self.content(state) - content) / step + self.sigma * change
@@ -266,7 +267,7 @@ class StoredLiquid(QuasiSteadyLiquid):
         shifted, self.space = self.space, self._open_space
         space = self.space
         change = self.target(state) - self.bulk
-        rate = self.released[:, None] * source + self.migrate(state)
+        rate = self.released[:, None] * source + self.inflow(state)
         for mineral, growth in zip(self.minerals, state.rates, strict=True):
             rate -= mineral.nu[:, None] * growth
         rate -= np.array([space.outflow(c) / space.volume for c in change])

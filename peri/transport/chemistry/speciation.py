@@ -76,6 +76,13 @@ class Solution:
         index = (nu @ self.ln_component + constants) / LN10
         return np.where((nu > 0) @ (self.ln_component <= ABSENT), -np.inf, index)
 
+    def inert_ion(self) -> int:
+        """The most abundant ion (of the first node) that takes part in no reaction; -1: none."""
+        nu, z = self.chemistry.stoichiometry, self.chemistry.charge
+        alone = (nu != 0).sum(axis=0) == 1
+        content = self.concentration[: alone.size, 0] * alone * (z[: alone.size] != 0)
+        return int(np.argmax(content)) if content.max() > 0 else -1
+
     def amount(self, species: str) -> np.ndarray:
         """Concentration of one species, mol/m3, (n,)."""
         return self.concentration[self.chemistry.index(species)]

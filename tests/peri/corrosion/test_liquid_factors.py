@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from peri.corrosion.acidity import AcidityLaw
+from peri.corrosion.electrode_kinetics import ElectrodeKinetics
 from peri.corrosion.kinetics import ConstantRate, Exposed, VolumeLossLaw
-from peri.corrosion.liquid_factors import FreeCorrosion, LiquidFactors
+from peri.corrosion.liquid_factors import LiquidFactors
 from peri.engine.constants import FARADAY, GAS_CONSTANT
 
 FREE = {"anodic": 1e-3, "cathodic": 1e-2, "potential": -2.0, "hydrogen_potential": -0.9}
@@ -29,7 +30,7 @@ def test_factors_multiply_and_are_one_where_left_out() -> None:
 
 @pytest.mark.parametrize("ph_order", [0.0, 0.1])
 def test_free_corrosion_is_where_the_currents_are_equal(ph_order: float) -> None:
-    law = FreeCorrosion(**FREE, ph_order=ph_order)
+    law = ElectrodeKinetics(**FREE, ph_order=ph_order)
     f = FARADAY / (GAS_CONSTANT * law.temperature)
     ph = np.array([7.0, 9.0, 11.0])
     found = law.corrosion_potential(ph, 0.0)
@@ -45,13 +46,13 @@ def test_free_corrosion_is_where_the_currents_are_equal(ph_order: float) -> None
 
 
 def test_its_own_ions_hold_the_anode_back_as_nernst_says() -> None:
-    law = FreeCorrosion(**FREE)
+    law = ElectrodeKinetics(**FREE)
     nernst = law.potential + GAS_CONSTANT * law.temperature / (2 * FARADAY) * math.log(1e-3)
     anodic, _ = law.currents(np.array([nernst]), 7.0, 1.0)
     forward, _ = law.currents(np.array([nernst]), 7.0, 0.0)
     assert abs(anodic[0]) < 1e-12 * forward[0]
     # Near equilibrium the ions matter, far from it they do not.
-    slow = FreeCorrosion(**{**FREE, "cathodic": 1e-12})
+    slow = ElectrodeKinetics(**{**FREE, "cathodic": 1e-12})
     far, near = (
         law_.rate(Exposed(ph=7.0, magnesium=np.array([0.0, 1000.0]))) for law_ in (law, slow)
     )
@@ -67,10 +68,10 @@ def test_its_own_ions_hold_the_anode_back_as_nernst_says() -> None:
         (lambda: LiquidFactors(ConstantRate(), layer_thickness=0.0), "layer_thickness: 0.0 m"),
         (lambda: LiquidFactors(ConstantRate(), chloride_reference=0.0), "chloride_reference: 0.0"),
         (lambda: LiquidFactors(AcidityLaw(10.0)), "looks at more than the volume loss"),
-        (lambda: FreeCorrosion(**FREE, balance="mixed"), "balance: 'mixed'; it must be local"),
-        (lambda: FreeCorrosion(**FREE, balance="applied"), "balance: 'applied'; it must be local"),
-        (lambda: FreeCorrosion(**{**FREE, "anodic": 0.0}), "anodic: 0.0; it must be finite"),
-        (lambda: FreeCorrosion(**FREE, anodic_transfer=1.5), "anodic_transfer: 1.5"),
+        (lambda: ElectrodeKinetics(**FREE, balance="shared"), "balance: 'shared'; it must be one"),
+        (lambda: ElectrodeKinetics(**FREE, balance="applied"), "balance: 'applied' with 0 of app"),
+        (lambda: ElectrodeKinetics(**{**FREE, "anodic": 0.0}), "anodic: 0.0; it must be finite"),
+        (lambda: ElectrodeKinetics(**FREE, anodic_transfer=1.5), "anodic_transfer: 1.5"),
     ],
 )
 def test_laws_are_checked(build, says: str) -> None:

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from peri.corrosion.electrode_kinetics import ElectrodeKinetics
 from peri.corrosion.kinetics import ConstantRate, VolumeLossLaw
-from peri.corrosion.liquid_factors import FreeCorrosion, LiquidFactors
+from peri.corrosion.liquid_factors import LiquidFactors
 from peri.corrosion.run import corrode
 from peri.coupled.degradation import Degradation
 from peri.coupled.feedback import beside_metal
@@ -88,7 +89,7 @@ def test_a_layer_of_brucite_slows_what_makes_it() -> None:
 
 @pytest.mark.slow
 def test_free_corrosion_marches_with_its_liquid_and_resumes_to_the_last_bit(tmp_path) -> None:
-    law = FreeCorrosion(1e-3, 1e-2, -2.0, -0.9, ph_order=0.1, ph_reference=7.5724)
+    law = ElectrodeKinetics(1e-3, 1e-2, -2.0, -0.9, ph_order=0.1, ph_reference=7.5724)
     _, whole = marched(law)
 
     class Killed(Exception):

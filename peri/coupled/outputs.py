@@ -1,0 +1,47 @@
+"""The liquid of a march as an output time keeps it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from peri.coupled.surroundings import Surroundings
+from peri.transport.chemistry.speciation import Solution
+from peri.transport.liquid import LiquidState
+
+
+def composition(
+    around: Surroundings, found: LiquidState, amounts: np.ndarray, bath: Solution
+) -> dict[str, np.ndarray | float]:
+    """The liquid's composition on the lattice.
+
+    found : the liquid;  amounts : (M, n) minerals, mol/m3;  bath : what the refreshed layer holds.
+
+    Returns `ph`, `potential` (V), `species` (K, ...) in mol/m3 and `minerals` (M, ...), float32,
+    NaN off the computed liquid; `net_charge` (over the ionic strength), `lowest` (concentration,
+    mol/m3), `pockets`, `pocket_share`, `largest_potential` (V; its bound where it is left out) and
+    `index_<mineral>`, the highest saturation index.
+    """
+    liquid, space = around.liquid, around.space
+    concentration = liquid.neutral_concentration(found)
+    edge = bath.concentration[:, 0]
+    strength = 0.5 * liquid.chemistry.charge**2 @ concentration
+    charge = np.abs(liquid.chemistry.charge @ concentration) / strength
+    volt = liquid.thermal_voltage
+    left_out = liquid.potential_bound(found) if liquid.options.closure == "none" else 0.0
+    species = [space.crop(c, e) for c, e in zip(concentration, edge, strict=True)]
+    minerals = np.array([space.crop(a, 0.0) for a in amounts], np.float32)
+    out: dict[str, np.ndarray | float] = {
+        "ph": space.crop(liquid.ph(found), float(bath.ph[0])).astype(np.float32),
+        "potential": space.crop(volt * found.psi, 0.0).astype(np.float32),
+        "species": np.array(species, np.float32),
+        "minerals": minerals.reshape(len(amounts), *space.sum.lattice_shape),
+        "net_charge": float(charge.max(initial=0.0)),
+        "lowest": float(concentration.min(initial=np.inf)),
+        "pockets": float(around.pockets),
+        "pocket_share": around.pocket_share,
+        "largest_potential": max(left_out, float(np.abs(volt * found.psi).max(initial=0.0))),
+    }
+    for mineral in liquid.minerals:
+        index = mineral.ln_omega(found.ln_component) / np.log(10.0)
+        out[f"index_{mineral.name}"] = float(index[mineral.region].max(initial=-np.inf))
+    return out
