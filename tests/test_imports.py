@@ -77,6 +77,7 @@ BELOW = {
         "coating": set(),
         "kinetics": set(),
         "acidity": {"kinetics"},
+        "electrode_kinetics": {"kinetics"},
         "liquid_factors": {"kinetics"},
         "passivity": {"kinetics"},
         "polarization": {"kinetics"},

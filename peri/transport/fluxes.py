@@ -23,20 +23,9 @@ import numpy as np
 from numba import njit, prange
 
 from peri.engine.operators import NonlocalSum
-from peri.transport.chemistry.species import Chemistry
 
 LARGEST_SQRA_STEP = 0.3
 """|u| of a bond up to which `sqra` is within 0.4 % of `sg`."""
-
-
-def charge_groups(chemistry: Chemistry) -> list[tuple[int, float, np.ndarray]]:
-    """Per component and charge number: the weights nu_ke D_k of the species that carry it."""
-    nu, z, d = chemistry.stoichiometry, chemistry.charge, chemistry.diffusivity
-    return [
-        (e, float(charge), np.where(z == charge, nu[:, e] * d, 0.0))
-        for e in range(nu.shape[1])
-        for charge in np.unique(z[(nu[:, e] != 0) & (z != 0)])
-    ]
 
 
 def _sqra(

@@ -30,13 +30,7 @@ from peri.transport.chemistry.composition import Composer, CompositionError
 from peri.transport.chemistry.minerals import MineralField, solve_mineral
 from peri.transport.chemistry.speciation import Solution
 from peri.transport.chemistry.species import LN10, MOLAR
-from peri.transport.fluxes import (
-    FLUX_FORMS,
-    LARGEST_SQRA_STEP,
-    charge_groups,
-    largest_bond_step,
-    migration,
-)
+from peri.transport.fluxes import FLUX_FORMS, LARGEST_SQRA_STEP, largest_bond_step, migration
 from peri.transport.liquid import LiquidSpace, LiquidState
 from peri.transport.permittivity import permittivity_of_water
 
@@ -155,7 +149,7 @@ class QuasiSteadyLiquid:
             )
             for i, mineral in enumerate(chemistry.minerals)
         ]
-        self._groups = charge_groups(chemistry)
+        self._groups = chemistry.charge_groups()
         if self.needs_a_way_out:
             self.plain = space.system()
         self.inert = medium.inert_ion()

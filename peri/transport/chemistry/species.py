@@ -196,6 +196,15 @@ class Chemistry:
         """Charge numbers of the components, (E,)."""
         return self.charge[: len(self.components)]
 
+    def charge_groups(self) -> list[tuple[int, float, np.ndarray]]:
+        """Per component and charge number: the weights nu_ke D_k of the species that carry it."""
+        nu, z, d = self.stoichiometry, self.charge, self.diffusivity
+        return [
+            (e, float(charge), np.where(z == charge, nu[:, e] * d, 0.0))
+            for e in range(nu.shape[1])
+            for charge in np.unique(z[(nu[:, e] != 0) & (z != 0)])
+        ]
+
     def totals(self, species: Mapping[str, float]) -> np.ndarray:
         """Return totals of the components, mol/m3, from amounts of species; H from neutrality.
 
