@@ -59,8 +59,7 @@ def front_depth(scene: CorrosionScene, history: dict[str, np.ndarray]) -> np.nda
 def unfilled_step(scene: CorrosionScene) -> float:
     """The longest step, s, in which the flux does not fill a node that it has just emptied.
 
-    Such a node is liquid for the rest of the step, in which nothing leaves it; beyond C_sat it
-    would hold the current back where there is no salt layer yet.
+    In longer steps what such a node cannot hold passes on to the liquid beside it, by an estimate.
     """
     flux = scene.dissolution_flux
     assert flux is not None

@@ -8,12 +8,15 @@ the proportional law it is slower by ln(C_solid/C_sat) (reference.fronts.front_s
 
 A node is metal until it is empty.  A stage that empties nodes treats each one as liquid for the
 share of the stage that is left: without saturation a step of up to a layer is exact for a flat
-front, because rates are constant between two such events.
+front, because rates are constant between two such events.  What reaches an emptied node goes on to
+the liquid beside it (FaradaicExchange), so that neither does a salt layer begin because a step is
+long.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 
@@ -98,8 +101,14 @@ def _any(emptied: np.ndarray | None) -> bool:
 class FaradaicExchange(Exchange):
     """Metal-liquid exchange of one stage whose bonds carry a given flux.
 
-    exposed : share of the stage that an emptied node spends as liquid (limited by what it can
-    hold up to C_sat).  gained : what it receives then, mol/m^3.
+    An emptied node is liquid for the share of the stage that is left.  Of what it receives then it
+    keeps (g + p C) / (1 + p), at most g and C_sat: g the whole gain, C the liquid beside it and p
+    the number of times that diffusion renews it in that while.  The rest, at most p (C_sat - C),
+    passes on to that liquid along its bonds, so that a long step withholds no current where there
+    is no salt layer.
+
+    open : share of the stage in which bonds to a node are open, less what saturated liquid holds
+    back.  gained : what emptied nodes keep, mol/m^3.
     """
 
     couples = False
@@ -112,10 +121,10 @@ class FaradaicExchange(Exchange):
         self.bonds = theta * p.box_liquid_volume
         self.local = local
         drawn = self.tau * self.rate
-        bounded = scene.saturation == "complementarity"
-        self.exposed = np.zeros_like(theta)
+        self.open = np.zeros_like(theta)
+        self._sent = self._passed = self._spread = None
         for _ in range(_ROUNDS):
-            demand = drawn * local * p.box(self.bonds + p.box_metal_volume * self.exposed)
+            demand = drawn * local * p.box(self.bonds + p.box_metal_volume * self.open)
             short = p.box_metal & (demand > self.old_metal)
             self.on = p.box_metal.astype(float)
             self.on[short] = self.old_metal[short] / demand[short]
@@ -123,18 +132,48 @@ class FaradaicExchange(Exchange):
                 self.gained = np.zeros_like(theta)
                 break
             inflow = drawn * p.box(p.box_metal_volume * self.on * local)
-            exposed = np.where(short, 1.0 - self.on, 0.0)
-            if bounded:
-                room = np.full_like(inflow, np.inf)
-                np.divide(scene.saturation_concentration, inflow, out=room, where=inflow > 0)
-                exposed = np.minimum(exposed, room)
-            change = float(np.abs(exposed - self.exposed).max())
-            self.gained = self.exposed * inflow
+            before, self.open = (
+                self.open,
+                self._pass_on(np.where(short, 1.0 - self.on, 0.0), inflow),
+            )
+            change = float(np.abs(self.open - before).max())
             if p.processes.largest(change) <= _TOLERANCE:
                 break
-            self.exposed = exposed
         self.demand, self.weight = demand, self.on * local
         self.emptied = short
+
+    def _pass_on(self, share: np.ndarray, inflow: np.ndarray) -> np.ndarray:
+        """Of nodes that are liquid for a share of the stage: keep some of it, pass on the rest.
+
+        inflow : what a node would receive in the whole stage, mol/m^3.  Returns `open`.
+        """
+        p, scene = self.p, self.p.scene
+        gain = share * inflow
+        seen = np.where(share > 0, p.box_neighbour_liquid, 0.0)
+        beside = self._mean_over_bonds(p.box_liquid_volume * self._old_liquid, seen)
+        renewals = share * self.tau * scene.liquid_diffusivity * seen
+        kept = np.minimum(gain, (gain + renewals * beside) / (1.0 + renewals))
+        passed = gain - kept
+        if scene.saturation == "complementarity":
+            most = scene.saturation_concentration
+            kept = np.minimum(kept, most)
+            passed = np.minimum(passed, renewals * np.maximum(most - beside, 0.0))
+        self.gained = kept
+        self._sent = np.divide(passed, gain, out=np.zeros_like(gain), where=gain > 0) * share
+        self._passed = np.divide(passed, seen, out=np.zeros_like(gain), where=seen > 0)
+        self._spread = None
+        carried = self._sent * self._mean_over_bonds(self.bonds, seen)
+        held = np.divide(kept, inflow, out=np.zeros_like(gain), where=inflow > 0)
+        return np.where(inflow > 0, held + carried, share)
+
+    @cached_property
+    def _old_liquid(self) -> np.ndarray:
+        """Concentration of the liquid when the stage begins, mol/m^3."""
+        return np.where(self.p.box_metal, 0.0, self.old_metal)
+
+    def _mean_over_bonds(self, values: np.ndarray, seen: np.ndarray) -> np.ndarray:
+        """Mean over the bonds of a node to liquid (`seen` in sum) of values times volume."""
+        return np.divide(self.p.box(values), seen, out=np.zeros_like(seen), where=seen > 0)
 
     def metal_concentration(self, liquid: np.ndarray) -> np.ndarray:
         """C_i = old_i - tau k sum w c theta, at least 0; the liquid plays no part."""
@@ -156,15 +195,24 @@ class FaradaicExchange(Exchange):
 
     def offered(self, metal: np.ndarray, liquid: np.ndarray | float) -> np.ndarray:
         """Interface inflow of the free liquid nodes with theta = 1."""
-        p = self.p
-        return p.box_free_volume * self.rate * p.box(p.box_metal_volume * self.weight)
+        return self.p.box_free_volume * self.to_refreshed(metal)
 
     def to_refreshed(self, metal: np.ndarray) -> np.ndarray:
-        """Interface inflow of the box's nodes per relative volume."""
-        return self.rate * self.p.box(self.p.box_metal_volume * self.weight)
+        """Interface inflow of the box's nodes per relative volume, passed on or not."""
+        p = self.p
+        direct = self.rate * p.box(p.box_metal_volume * self.weight)
+        if self._passed is None:
+            return direct
+        if self._spread is None:
+            self._spread = p.box(p.box_metal_volume * self._passed) / self.tau
+        return direct + self._spread
 
     def correct(self, metal: np.ndarray, change: np.ndarray, saturated: float) -> np.ndarray:
         """Metal after the flux of the active nodes changed by `change` in theta."""
         p = self.p
-        flux = self.rate * self.local * p.box(change * p.box_free_volume)
+        bonds = change * p.box_free_volume
+        if self._sent is not None:
+            seen = np.where(self._sent > 0, p.box_neighbour_liquid, 0.0)
+            bonds = bonds + p.box_metal_volume * self._sent * self._mean_over_bonds(bonds, seen)
+        flux = self.rate * self.local * p.box(bonds)
         return np.where(self.emptied, 0.0, np.clip(metal - self.tau * flux, 0.0, self.old_metal))
