@@ -136,8 +136,8 @@ class GalvanicScene:
             taken += metal.nodes
         if (taken > 1).any():
             raise ValueError(
-                f"metals: {int((taken > 1).sum())} nodes belong to two of {', '.join(names)}, which "
-                "overlap"
+                f"metals: {int((taken > 1).sum())} nodes belong to two of {', '.join(names)}, "
+                "which overlap"
             )
         if self.held is not None and self.held.shape != self.lattice.shape:
             raise ValueError(f"held: {self.held.shape}; the lattice has {self.lattice.shape}")
