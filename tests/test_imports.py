@@ -100,7 +100,15 @@ BELOW = {
         "permittivity": set(),
         "potential": set(),
         "chemistry": {"liquid"},
-        "nernst_planck": {"chemistry", "fluxes", "liquid", "permittivity", "mixing"},
+        "migration": {"chemistry", "fluxes", "liquid"},
+        "nernst_planck": {
+            "chemistry",
+            "fluxes",
+            "liquid",
+            "migration",
+            "permittivity",
+            "mixing",
+        },
         "stored": {"chemistry", "liquid", "mixing", "nernst_planck"},
     },
     "pipeline": {

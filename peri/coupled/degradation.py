@@ -26,7 +26,7 @@ from peri.coupled.bath import Bath, BathLiquid
 from peri.coupled.booking import element_error
 from peri.coupled.charge_balance import ELECTRONS, ChargeBalance, check_one_piece
 from peri.coupled.feedback import OF_THE_LIQUID, Agreement, beside_metal, medium_beside
-from peri.coupled.liquid_fields import LiquidFields
+from peri.coupled.liquid_fields import LiquidFields, foreseen_liquid
 from peri.coupled.outputs import composition
 from peri.coupled.surroundings import HYDROGEN_PER_METAL, Surroundings
 from peri.engine.constants import FARADAY
@@ -333,6 +333,12 @@ class Degradation(CorrosionProblem):
     def bounded(self, fields: Fields) -> Fields:
         """Concentrations of the metal's march from 0 to C_solid."""
         return {**fields, **super().bounded(fields)}
+
+    def foreseen(self, now: Fields, before: Fields, factor: float) -> Fields:
+        """The liquid as its last change goes on, once there is one to go by."""
+        if not self.follows_minerals or not factor:
+            return {}
+        return foreseen_liquid(now, before, factor)
 
     def continues(self, first: Stage, right: Fields) -> bool:
         """Where elements are booked, a mineral that vanishes takes a first-order step."""

@@ -12,6 +12,9 @@ TRACE = 0.01
 """Of what the metal loses in a step: minerals that change by less do not shorten it."""
 
 _SCALARS = ("ln_component", "release", "extents", "migrated", "rates", "psi")
+_SMOOTH = ("ln_component", "release", "extents", "migrated", "psi")
+_LARGEST_CHANGE = 1.0
+"""Of ln of a free component: what changes by more in a step (one that comes in) has no trend."""
 
 
 class LiquidFields:
@@ -67,3 +70,21 @@ class LiquidFields:
                 off = float(volume @ np.abs(mine - foretold))
                 worst = max(worst, attempt.share * off / scale)
         return worst
+
+
+def foreseen_liquid(now: Fields, before: Fields, factor: float) -> Fields:
+    """Fields `liquid_...` as their last change goes on; none before there is one to go by.
+
+    now, before : of the present state and of the one before;  factor : how far ahead, in last steps
+    """
+    if not before["liquid_release"].any():
+        return {}
+    found = {}
+    for name in (f"liquid_{n}" for n in _SMOOTH):
+        if now[name].shape != before[name].shape:  # nodes have turned liquid
+            return {}
+        change = now[name] - before[name]
+        if name == "liquid_ln_component":
+            change[np.abs(change) > _LARGEST_CHANGE] = 0.0
+        found[name] = now[name] + factor * change
+    return found

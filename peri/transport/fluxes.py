@@ -28,24 +28,25 @@ LARGEST_SQRA_STEP = 0.3
 """|u| of a bond up to which `sqra` is within 0.4 % of `sg`."""
 
 
-def _sqra(
-    total: Callable[[np.ndarray], np.ndarray],
+def steps_of(z: float, psi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """exp(z psi / 2) - 1 and exp(-z psi / 2) - 1, exact for a small field."""
+    return np.expm1(0.5 * z * psi), np.expm1(-0.5 * z * psi)
+
+
+def sqra(
     c: np.ndarray,
-    psi: np.ndarray,
-    z: float,
+    steps: tuple[np.ndarray, np.ndarray],
+    grown: np.ndarray,
+    around: np.ndarray,
+    shrunk: np.ndarray,
     degree: np.ndarray,
-    shrunk: np.ndarray | None = None,
 ) -> np.ndarray:
-    # exp(+-u/2) - 1 through expm1, so that a small field leaves no round-off of the large C
-    grow, shrink = np.expm1(0.5 * z * psi), np.expm1(-0.5 * z * psi)
-    if shrunk is None:
-        shrunk = total(shrink)
-    # a_j C_j / a_i - a_i C_i / a_j - (C_j - C_i), a = 1 + grow, 1/a = 1 + shrink
-    return (
-        (1.0 + shrink) * total(grow * c)
-        + shrink * total(c)
-        - c * ((1.0 + grow) * shrunk + grow * degree)
-    )
+    """a_j C_j / a_i - a_i C_i / a_j - (C_j - C_i), a = 1 + grow, 1/a = 1 + shrink, bonds summed.
+
+    steps : grow, shrink;  grown, around, shrunk : the sums of grow C, C and shrink over the bonds
+    """
+    grow, shrink = steps
+    return (1.0 + shrink) * grown + shrink * around - c * ((1.0 + grow) * shrunk + grow * degree)
 
 
 def _mean(
@@ -80,7 +81,6 @@ def migration(
     psi: np.ndarray,
     z: float,
     degree: np.ndarray | None = None,
-    shrunk: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return sum_j w_ij c_j (f_ij - (C_j - C_i)) for D = 1, a padded field.
 
@@ -92,7 +92,6 @@ def migration(
     concentration, psi : padded fields, 0 where there is no liquid
     z : charge number
     degree : bond_sum(volume), where it is at hand
-    shrunk : bond_sum(volume (exp(-z psi / 2) - 1)), where it is at hand (`sqra`)
 
     Raises ValueError for an unknown form.
     """
@@ -109,7 +108,9 @@ def migration(
     if degree is None:
         degree = bond_sum(volume)
     if form == "sqra":
-        result = _sqra(total, concentration, psi, z, degree, shrunk)
+        steps = steps_of(z, psi)
+        grown, around = total(steps[0] * concentration), total(concentration)
+        result = sqra(concentration, steps, grown, around, total(steps[1]), degree)
     else:
         result = SEPARABLE[form](total, concentration, psi, z, degree)
     return np.where(volume > 0, result, 0.0)

@@ -107,7 +107,7 @@ class LiquidSpace:
 
     def spread(self, values: np.ndarray, held: float = 0.0) -> np.ndarray:
         """Return a padded field from values (n,), `held` at refreshed nodes, 0 elsewhere."""
-        field = held * self._held
+        field = held * self._held if held else np.zeros(self.sum.padded_shape)
         field.ravel()[self.index] = values
         return field
 
@@ -117,9 +117,12 @@ class LiquidSpace:
         field.ravel()[self.index] = values
         return self.sum.crop(field)
 
-    def neighbours(self, values: np.ndarray) -> np.ndarray:
-        """Return sum_j w_ij c_j u_j of values (n,) that are zero at refreshed nodes."""
-        return self.gather(self.sum(self.all_volume * self.spread(values)))
+    def neighbours(self, values: np.ndarray, held: float = 0.0) -> np.ndarray:
+        """Return sum_j w_ij c_j u_j of values (n,) that are `held` at refreshed nodes."""
+        field = np.zeros(self.sum.padded_shape)
+        field.ravel()[self.index] = self.volume * values
+        around = self.gather(self.sum(field))
+        return around + held * self.exit if held else around
 
     def outflow(self, values: np.ndarray) -> np.ndarray:
         """Return c_i (A u)_i = c_i sum_j w_ij c_j (u_i - u_j), (n,)."""
@@ -171,15 +174,14 @@ class LiquidSpace:
         right : (n,) per cell, mol/m3/s times relative volume
         start : (n,); values at nodes that the system holds are kept and count as given
         """
-        held = self.gather(system.weight) == 0
-        x = self.spread(start)
-        given = np.where(held, start, 0.0)
-        residual = right - self.volume * (
-            self.gather(system.diagonal) * np.where(held, 0.0, start)
-            - self.neighbours(np.where(held, 0.0, start))
-            - self.neighbours(given)
-        )
-        field = self.spread(np.where(held, 0.0, residual))
-        unknown = x * system.mask
-        iterations = system.solve(unknown, field, absolute, maximum_iterations)
-        return np.where(held, start, self.gather(unknown)), iterations
+        unknown = self.spread(start) * system.mask
+        field = self.spread(right)
+        held = self.gather(system.mask) == 0
+        some = bool(held.any())
+        if some:
+            given = np.where(held, start, 0.0)
+            field = self.spread(right + self.volume * self.neighbours(given))
+        residual = system.residual(unknown, field)
+        iterations = system.solve(unknown, residual, absolute, maximum_iterations)
+        found = self.gather(unknown)
+        return (np.where(held, start, found) if some else found), iterations

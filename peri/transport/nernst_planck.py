@@ -27,11 +27,12 @@ from peri.engine.constants import FARADAY, GAS_CONSTANT
 from peri.engine.solvers import ConvergenceError
 from peri.transport.chemistry.activity import conditional_constants, mineral_constants
 from peri.transport.chemistry.composition import Composer, CompositionError
-from peri.transport.chemistry.minerals import MineralField, solve_mineral
+from peri.transport.chemistry.minerals import MineralField, settle
 from peri.transport.chemistry.speciation import Solution
 from peri.transport.chemistry.species import LN10, MOLAR
-from peri.transport.fluxes import FLUX_FORMS, LARGEST_SQRA_STEP, largest_bond_step, migration
+from peri.transport.fluxes import FLUX_FORMS, LARGEST_SQRA_STEP, largest_bond_step
 from peri.transport.liquid import LiquidSpace, LiquidState
+from peri.transport.migration import Migration
 from peri.transport.permittivity import permittivity_of_water
 
 log = logging.getLogger(__name__)
@@ -149,7 +150,7 @@ class QuasiSteadyLiquid:
             )
             for i, mineral in enumerate(chemistry.minerals)
         ]
-        self._groups = chemistry.charge_groups()
+        self.migration = Migration(self.options.flux_form, space, chemistry)
         if self.needs_a_way_out:
             self.plain = space.system()
         self.inert = medium.inert_ion()
@@ -174,46 +175,42 @@ class QuasiSteadyLiquid:
 
     # --- pieces ---------------------------------------------------------------------------
 
-    def target(self, state: LiquidState) -> np.ndarray:
-        """Pi, (E, n); exactly 0 for a component the medium lacks where none is resolved."""
-        change = self.released[:, None] * state.release + state.migrated
-        for mineral, extent in zip(self.minerals, state.extents, strict=True):
-            change -= mineral.nu[:, None] * extent
-        target = self.bulk + change
+    def target(self, state: LiquidState, nodes: np.ndarray | None = None) -> np.ndarray:
+        """Pi, (E, n) or at some nodes; exactly 0 for a component that the medium lacks where none
+        is resolved."""
+
+        def change(e: int | slice, at: np.ndarray | slice) -> np.ndarray:
+            out = (
+                np.multiply.outer(self.released[e], state.release[at]) + state.migrated[e][..., at]
+            )
+            for mineral, extent in zip(self.minerals, state.extents, strict=True):
+                if mineral.nu[e].any():
+                    out -= np.multiply.outer(mineral.nu[e], extent[at])
+            return out
+
+        target = self.bulk + change(slice(None), slice(None) if nodes is None else nodes)
         lacking = (self.bulk[:, 0] == 0) & self.composer.only_positive
         for e in np.flatnonzero(lacking):
-            small = np.abs(target[e]) <= _RESOLVED * np.abs(change[e]).max(initial=0.0)
-            target[e, small] = 0.0
+            largest = np.abs(change(int(e), slice(None))).max(initial=0.0)
+            target[e, np.abs(target[e]) <= _RESOLVED * largest] = 0.0
         return target
 
-    def compose(self, state: LiquidState) -> None:
-        """Composition, net charge and so on from the scalar fields, in place."""
-        self.composer.solve(self.target(state), self.b, state.ln_component)
-        state.concentration = self.composer.concentrations(
-            state.ln_component, self.b, np.empty((len(self.chemistry.names), self.space.n))
-        )
-        state.net_charge = self.chemistry.charge @ state.concentration
+    def compose(self, state: LiquidState, nodes: np.ndarray | None = None) -> None:
+        """Composition and net charge from the scalar fields, in place; everywhere or at nodes."""
+        if nodes is None:
+            state.concentration = self.composer.solve(
+                self.target(state), self.b, state.ln_component
+            )
+            state.net_charge = self.chemistry.charge @ state.concentration
+            return
+        m = state.ln_component[:, nodes]
+        found = self.composer.solve(self.target(state, nodes), self.b, m)
+        state.ln_component[:, nodes] = m
+        state.concentration[:, nodes] = found
 
     def migrate(self, state: LiquidState) -> np.ndarray:
         """N_e, (E, n): what migration adds to the inflow of each component, mol/m3/s."""
-        space = self.space
-        out = np.zeros((len(self.chemistry.components), space.n))
-        psi = space.spread(state.psi)
-        weights = np.array([w for _, _, w in self._groups])
-        values = weights @ state.concentration
-        held = weights @ self.edge
-        shrunk = {
-            z: space.sum(space.all_volume * np.expm1(-0.5 * z * psi))
-            for z in {z for _, z, _ in self._groups}
-            if self.options.flux_form == "sqra"
-        }
-        for (e, z, _), value, edge in zip(self._groups, values, held, strict=True):
-            field_ = migration(
-                self.options.flux_form, space.sum, space.all_volume,
-                space.spread(value, edge), psi, z, space.degree_field, shrunk.get(z),
-            )  # fmt: skip
-            out[e] += space.gather(field_)
-        return out
+        return self.migration.inflow(state.concentration, self.edge, state.psi)
 
     def inflow(self, state: LiquidState) -> np.ndarray:
         """What diffusion has to carry off besides the release, (E, n): migration and `beside`."""
@@ -264,17 +261,23 @@ class QuasiSteadyLiquid:
         before = state.release
         state.release, used = space.solve(self.plain, right, before, 0.1 * absolute)
         state.iterations += used
-        self._begin(state, before)
         there = there if minerals else None
         for mineral, active in zip(self.minerals, state.active, strict=True):
             if not mineral.in_equilibrium:
                 active[:] = False  # what is there is open in any case
-        self._grow(state, there, step, absolute)
+        self._begin(state, before, there, step, absolute)
         if options.closure != "none":
             self._close(state, there, step, absolute)
         return state
 
-    def _begin(self, state: LiquidState, before: np.ndarray) -> None:
+    def _begin(
+        self,
+        state: LiquidState,
+        before: np.ndarray,
+        there: np.ndarray | None,
+        step: float,
+        absolute: float,
+    ) -> None:
         """A first composition: what the start holds of minerals and migration, scaled with g.
 
         Pi is linear in the three, so a start that has a composition keeps one when all change
@@ -287,49 +290,13 @@ class QuasiSteadyLiquid:
         state.migrated *= ratio
         state.psi *= ratio
         try:
-            self.compose(state)
+            settle(self, state, there, step, absolute)
         except CompositionError:
             state.extents[:] = 0.0
             state.migrated[:] = 0.0
             state.psi[:] = 0.0
             state.ln_component = composition
-            self.compose(state)
-
-    def _grow(
-        self, state: LiquidState, there: np.ndarray | None, step: float, absolute: float
-    ) -> None:
-        """Bring the minerals in balance with the rest, one after the other until none changes."""
-        if not self.minerals or there is None:
-            return
-        for _ in range(_MAXIMUM_SWEEPS):
-            change = 0.0
-            for i, mineral in enumerate(self.minerals):
-                if not self._takes_part(mineral, state, there[i], i):
-                    continue
-                before = state.rates[i].copy()
-                used = solve_mineral(self, state, i, there[i] / step, there[i], 0.1 * absolute)
-                state.iterations += used
-                volume = self.space.volume
-                change = max(change, float(np.linalg.norm(volume * (state.rates[i] - before))))
-                absolute = max(
-                    absolute, self.relative * float(np.linalg.norm(volume * state.rates[i]))
-                )
-            if change <= absolute:
-                return
-        raise ConvergenceError(
-            f"minerals: their rates still change by {change:.2g} after {_MAXIMUM_SWEEPS} rounds, "
-            f"{absolute:.2g} wanted; a shorter step or a smaller release will do"
-        )
-
-    def _takes_part(
-        self, mineral: MineralField, state: LiquidState, there: np.ndarray, number: int
-    ) -> bool:
-        ln_omega = mineral.ln_omega(state.ln_component)
-        return bool(
-            there.any()
-            or state.rates[number].any()
-            or ((ln_omega > mineral.ln_nucleation) & mineral.region).any()
-        )
+            settle(self, state, there, step, absolute)
 
     def _close(
         self, state: LiquidState, there: np.ndarray | None, step: float, absolute: float
@@ -345,9 +312,7 @@ class QuasiSteadyLiquid:
         if self.options.closure == "poisson":
             permittivity = permittivity_of_water(chemistry.temperature)
         charge_scale = permittivity * thermal / FARADAY
-        mobility = np.zeros(len(chemistry.components))
-        for e, z, weight in self._groups:
-            mobility[e] += z * float(weight @ self.edge)
+        mobility = self.migration.mobility(self.edge)
         for sweep in range(1, _MAXIMUM_SWEEPS + 1):
             support = z2 @ state.concentration
             old_psi = state.psi
@@ -393,8 +358,7 @@ class QuasiSteadyLiquid:
                 )
                 state.iterations += used
             try:
-                self._compose_between(state, before)
-                self._grow(state, there, step, absolute)
+                self._grow_between(state, before, there, step, absolute)
             except CompositionError as error:
                 raise CompositionError(f"potential: {error}; {_TOO_LITTLE}") from error
         largest = float(np.abs(chemistry.charge).max()) * largest_bond_step(
@@ -406,21 +370,28 @@ class QuasiSteadyLiquid:
                 "form 'sg'", largest, LARGEST_SQRA_STEP,
             )  # fmt: skip
 
-    def _compose_between(self, state: LiquidState, before: np.ndarray) -> None:
-        """Compose; go half the way back to the last migration as long as a node has none.
+    def _grow_between(
+        self,
+        state: LiquidState,
+        before: np.ndarray,
+        there: np.ndarray | None,
+        step: float,
+        absolute: float,
+    ) -> None:
+        """Compose, minerals too; half the way back to the last migration while a node has none.
 
         Without supporting salt a sweep may ask for more of an ion than there is.
         """
         for _ in range(_MAXIMUM_HALVINGS):
-            start = state.ln_component.copy()
+            start, extents = state.ln_component.copy(), state.extents.copy()
             try:
-                self.compose(state)
+                settle(self, state, there, step, absolute)
             except CompositionError:
-                state.ln_component = start
+                state.ln_component, state.extents = start, extents
                 state.migrated = 0.5 * (state.migrated + before)
                 continue
             return
-        self.compose(state)
+        settle(self, state, there, step, absolute)
 
     # --- what is seen ---------------------------------------------------------------------
 

@@ -26,6 +26,7 @@ import numpy as np
 
 from peri.engine.solvers import ConvergenceError
 from peri.transport.chemistry.composition import CompositionError
+from peri.transport.chemistry.minerals import settle
 from peri.transport.chemistry.speciation import Solution
 from peri.transport.liquid import LiquidSpace, LiquidState
 from peri.transport.mixing import Mixing
@@ -140,9 +141,8 @@ class StoredLiquid(QuasiSteadyLiquid):
         for i, mineral in enumerate(self.minerals):
             if not mineral.in_equilibrium:
                 state.active[i][:] = False
-        self.compose(state)
         span = step if span is None else span
-        self._grow(state, there, span, 0.1 * absolute)
+        settle(self, state, there, span, 0.1 * absolute)
         self._iterate(state, content, step, there, span, absolute)
         return state
 
@@ -218,12 +218,11 @@ class StoredLiquid(QuasiSteadyLiquid):
             before = state.migrated.copy()
             state.migrated, state.psi = mixed[:-1] * size[:, None], mixed[-1]
             try:
-                self._compose_between(state, before)
+                self._grow_between(state, before, there, span, 0.1 * absolute)
             except CompositionError:
                 state.migrated, state.psi = new, psi
                 mixing = Mixing()
-                self._compose_between(state, before)
-            self._grow(state, there, span, 0.1 * absolute)
+                self._grow_between(state, before, there, span, 0.1 * absolute)
         raise ConvergenceError(
             f"liquid: the balance of a component is still off by {residual.max():.2g} after "
             f"{_MAXIMUM_ROUNDS} rounds, {wanted.max():.2g} wanted ({charge:.2g} from "

@@ -188,6 +188,14 @@ class FirstOrder(Problem):
         """Extrapolated evolved fields, moved within their bounds."""
         return fields
 
+    def foreseen(self, now: Fields, before: Fields, factor: float) -> Fields:
+        """Better starting values than the present ones for fields that do not evolve.
+
+        now, before : the present state's fields and those before the last step;  factor : how far
+        ahead the values are for, in last steps
+        """
+        return {}
+
     def continues(self, first: Stage, right: Fields) -> bool:
         """Whether a second-order step may go on from its first stage to this right side."""
         return True

@@ -110,12 +110,17 @@ def _try_step(
     old = {name: state.fields[name] for name in names}
     slope = {name: old[name] - course.previous.fields[name] for name in names}
     growth = (step / course.previous_step) if course.previous_step else 0.0
+
+    def foreseen(factor: float) -> Fields:
+        fields = _extrapolated(problem, old, slope, factor)
+        return fields | problem.foreseen(state.fields, course.previous.fields, factor)
+
     if scheme == "backward_euler":
-        guess = _extrapolated(problem, old, slope, growth)
+        guess = foreseen(growth)
         expected = {name: growth * slope[name] for name in names}
         share = 1.0 / (1.0 + 1.0 / growth) if growth else 1.0
         return _first_order(problem, course, step, guess, expected, share)
-    guess = _extrapolated(problem, old, slope, GAMMA * growth)
+    guess = foreseen(GAMMA * growth)
     middle = state.time + GAMMA * step
     first = problem.stage(old, GAMMA * step, _start(state, guess, middle))
     rate = {name: (first.fields[name] - old[name]) / GAMMA for name in names}

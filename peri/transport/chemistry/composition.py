@@ -22,6 +22,9 @@ from numba import get_num_threads, njit
 ABSENT = -1.0e4
 """m of a component that a node does not hold: its species have exp(-1e4) = 0 exactly."""
 
+TOLERANCE = 3e-8
+"""Newton step after which there is no other: the next would be about its square."""
+
 _LANES = 8
 _LONGEST_STEP = 2.0
 _MAXIMUM_STEPS = 400
@@ -34,8 +37,8 @@ class CompositionError(ArithmeticError):
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def _compose(m, target, b, weight, row, component, nu, positive, tolerance, first, last):
-    """Solve nodes first:last in place; returns (steps, nodes that failed)."""
+def _compose(m, target, b, weight, row, component, nu, positive, tolerance, first, last, out):
+    """Solve nodes first:last in place, C to `out` (K, n); returns how many nodes failed."""
     E, n = m.shape
     K = weight.size
     V = _LANES
@@ -44,11 +47,12 @@ def _compose(m, target, b, weight, row, component, nu, positive, tolerance, firs
     x = np.empty((E, V))
     old = np.empty((E, V))
     step = np.empty((E, V))
-    s = np.empty(V)
+    weighted = np.empty((K, V))
+    taken = np.empty((E, V))
     value, before, slope, size = np.empty(V), np.empty(V), np.empty(V), np.empty(V)
     scale = np.empty(V)
     done = np.empty(V, np.bool_)
-    steps, failed = 0, 0
+    failed = 0
     shared = b.shape[1] == 1
     for start in range(first, last, V):
         width = min(V, last - start)
@@ -82,6 +86,7 @@ def _compose(m, target, b, weight, row, component, nu, positive, tolerance, firs
                 value[v] = 0.0
                 size[v] = 0.0
             for k in range(K):
+                s = weighted[k]
                 for v in range(V):
                     s[v] = b[k, 0 if shared else start + min(v, width - 1)]
                 for a in range(row[k], row[k + 1]):
@@ -147,6 +152,8 @@ def _compose(m, target, b, weight, row, component, nu, positive, tolerance, firs
             pending = 0
             for v in range(V):
                 if done[v]:
+                    for e in range(E):
+                        taken[e, v] = 0.0
                     continue
                 if scale[v] == 0.5:
                     for e in range(E):
@@ -168,19 +175,26 @@ def _compose(m, target, b, weight, row, component, nu, positive, tolerance, firs
                     old[e, v] = x[e, v]
                     step[e, v] = factor * r[e, v]
                     x[e, v] += step[e, v]
+                    taken[e, v] = step[e, v]
                 if longest < tolerance:
                     done[v] = True
                 else:
                     pending += 1
             if pending == 0:
                 break
-        steps += iteration * width
         for v in range(width):
             if not done[v]:
                 failed += 1
             for e in range(E):
                 m[e, start + v] = x[e, v]
-    return steps, failed
+        # exp of the last step, which is short, by its series: exact to the last digit.
+        for k in range(K):
+            for v in range(width):
+                moved = 0.0
+                for a in range(row[k], row[k + 1]):
+                    moved += nu[a] * taken[component[a], v]
+                out[k, start + v] = weighted[k, v] / weight[k] * (1.0 + moved * (1.0 + 0.5 * moved))
+    return failed
 
 
 @njit(cache=True, nogil=True)
@@ -193,6 +207,41 @@ def _concentrations(m, b, row, component, nu, out):
             for a in range(row[k], row[k + 1]):
                 s += nu[a] * m[component[a], i]
             out[k, i] = math.exp(s)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _sensitivity(concentration, weight, row, component, nu, taken, out):
+    """taken . H^-1 taken per node, H the Hessian of this file's head (1 for absent components)."""
+    E = taken.size
+    H = np.empty((E, E))
+    y = np.empty(E)
+    for i in range(out.size):
+        H[:] = 0.0
+        for k in range(weight.size):
+            s = weight[k] * concentration[k, i]
+            for a in range(row[k], row[k + 1]):
+                for c in range(row[k], a + 1):
+                    H[component[a], component[c]] += nu[a] * nu[c] * s
+        for e in range(E):
+            y[e] = 1.0 / math.sqrt(H[e, e]) if H[e, e] > 0.0 else 1.0
+        for e in range(E):  # a unit diagonal first: the components differ by decades
+            for q in range(e):
+                H[e, q] *= y[e] * y[q]
+            H[e, e] = 1.0
+        y *= taken
+        total = 0.0
+        for j in range(E):
+            for q in range(j):
+                H[j, j] -= H[j, q] * H[j, q]
+                y[j] -= H[j, q] * y[q]
+            inverse = 1.0 / math.sqrt(H[j, j])
+            y[j] *= inverse
+            for p in range(j + 1, E):
+                for q in range(j):
+                    H[p, j] -= H[p, q] * H[j, q]
+                H[p, j] *= inverse
+            total += y[j] * y[j]
+        out[i] = total
 
 
 class Composer:
@@ -222,28 +271,30 @@ class Composer:
         return self._positive > 0
 
     def solve(
-        self, target: np.ndarray, b: np.ndarray, m: np.ndarray, tolerance: float = 1e-11
-    ) -> int:
+        self, target: np.ndarray, b: np.ndarray, m: np.ndarray, tolerance: float = TOLERANCE
+    ) -> np.ndarray:
         """Improve m in place until the last Newton step is below `tolerance` at every node.
 
         Parameters
         ----------
         target : (E, n) S_e; zero for a component that the node does not hold
         b : (K, n) or (K, 1) conditional constants
-        m : (E, n) starting values; the step after the one tested is of the order tolerance^2
+        m : (E, n) starting values
+        tolerance : the step after the one tested, which is not taken, is of the order tolerance^2
 
-        Returns the number of Newton steps, summed over the nodes.  Raises CompositionError.
+        Returns the concentrations, (K, n).  Raises CompositionError.
         """
         n = m.shape[1]
+        out = np.empty((self.weight.size, n))
         if not n:
-            return 0
+            return out
         workers = max(1, min(get_num_threads(), n // _THREADED_FROM))
         edges = [_LANES * round(n * w / workers / _LANES) for w in range(workers)] + [n]
 
-        def part(w: int) -> tuple[int, int]:
+        def part(w: int) -> int:
             return _compose(
                 m, target, b, self.weight, self._row, self._component, self._nu,
-                self._positive, tolerance, edges[w], edges[w + 1],
+                self._positive, tolerance, edges[w], edges[w + 1], out,
             )  # fmt: skip
 
         if workers == 1:
@@ -251,14 +302,14 @@ class Composer:
         else:
             with ThreadPoolExecutor(workers) as pool:
                 results = list(pool.map(part, range(workers)))
-        failed = sum(f for _, f in results)
+        failed = sum(results)
         if failed:
             lowest = np.where(self.only_positive[:, None], target, np.inf).min()
             raise CompositionError(
                 f"composition: {failed} of {n} nodes have none; the lowest total of a component "
                 f"that only positive amounts make up is {lowest:.3g}"
             )
-        return sum(s for s, _ in results)
+        return out
 
     def concentrations(
         self, m: np.ndarray, b: np.ndarray, out: np.ndarray | None = None
@@ -267,6 +318,15 @@ class Composer:
         if out is None:
             out = np.empty((self.weight.size, m.shape[1]))
         _concentrations(m, b, self._row, self._component, self._nu, out)
+        return out
+
+    def sensitivity(self, concentration: np.ndarray, taken: np.ndarray) -> np.ndarray:
+        """-d(taken . m) / dG per node, (n,), where G takes `taken` (E,) of the components: > 0."""
+        out = np.empty(concentration.shape[1])
+        _sensitivity(
+            concentration, self.weight, self._row, self._component, self._nu,
+            np.asarray(taken, float), out,
+        )  # fmt: skip
         return out
 
     def hessian(self, concentration: np.ndarray) -> np.ndarray:

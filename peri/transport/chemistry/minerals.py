@@ -25,6 +25,7 @@ from peri.transport.chemistry.composition import Composer
 from peri.transport.chemistry.speciation import saturate
 from peri.transport.liquid import LiquidSpace, LiquidState
 
+_MAXIMUM_SWEEPS = 60
 _MAXIMUM_ROUNDS = 100
 _ROUND_OFF = 10.0
 """Where Newton's steps stop to help, a residual of this many times the tolerance will do."""
@@ -69,29 +70,105 @@ class ReactingLiquid(Protocol):
     plain: DiffusionSystem
     relative: float
 
-    def target(self, state: LiquidState) -> np.ndarray: ...
+    def target(self, state: LiquidState, nodes: np.ndarray | None = None) -> np.ndarray: ...
 
-    def compose(self, state: LiquidState) -> None: ...
+    def compose(self, state: LiquidState, nodes: np.ndarray | None = None) -> None: ...
 
 
-def solve_mineral(
+def settle(
+    liquid: ReactingLiquid,
+    state: LiquidState,
+    there: np.ndarray | None,
+    step: float,
+    absolute: float,
+) -> None:
+    """Compose a liquid with its minerals in balance: one after the other until none changes.
+
+    Until then only the composition where those may form that take part is followed; those that
+    take no part are looked at when it is known everywhere.
+
+    there : (M, n) minerals that there are, mol/m3; None: none may form
+    step : s, over which no more than they can dissolve
+    absolute : residual norm of each
+
+    Raises ConvergenceError, CompositionError.
+    """
+    taking = _taking(liquid, state, there)
+    while True:
+        if taking and there is not None:
+            nodes = np.flatnonzero(np.any([liquid.minerals[i].region for i in taking], axis=0))
+            liquid.compose(state, nodes)
+            _balance(liquid, state, taking, there, step, absolute, nodes)
+        liquid.compose(state)
+        more = sorted({*taking, *_taking(liquid, state, there)})
+        if more == taking:
+            return
+        taking = more
+
+
+def _taking(liquid: ReactingLiquid, state: LiquidState, there: np.ndarray | None) -> list[int]:
+    """Numbers of the minerals that are there, change, or pass their nucleation index."""
+    if there is None:
+        return []
+    return [
+        i
+        for i, mineral in enumerate(liquid.minerals)
+        if there[i].any()
+        or state.rates[i].any()
+        or (mineral.region & (mineral.ln_omega(state.ln_component) > mineral.ln_nucleation)).any()
+    ]
+
+
+def _balance(
+    liquid: ReactingLiquid,
+    state: LiquidState,
+    taking: Sequence[int],
+    there: np.ndarray,
+    step: float,
+    absolute: float,
+    nodes: np.ndarray,
+) -> None:
+    volume = liquid.space.volume
+    for _ in range(_MAXIMUM_SWEEPS):
+        change = 0.0
+        for i in taking:
+            before = state.rates[i].copy()
+            state.iterations += _solve_mineral(
+                liquid, state, i, there[i] / step, there[i], 0.1 * absolute, nodes
+            )
+            change = max(change, float(np.linalg.norm(volume * (state.rates[i] - before))))
+            absolute = max(
+                absolute, liquid.relative * float(np.linalg.norm(volume * state.rates[i]))
+            )
+        if change <= absolute:
+            return
+    raise ConvergenceError(
+        f"minerals: their rates still change by {change:.2g} after {_MAXIMUM_SWEEPS} rounds, "
+        f"{absolute:.2g} wanted; a shorter step or a smaller release will do"
+    )
+
+
+def _solve_mineral(
     liquid: ReactingLiquid,
     state: LiquidState,
     number: int,
     lowest: np.ndarray,
     there: np.ndarray,
     absolute: float,
+    nodes: np.ndarray,
 ) -> int:
     """Bring one mineral in balance with the liquid, everything else given; in place.
 
+
     lowest : (n,) M/tau, the fastest that it can dissolve, mol/m3/s
     there : (n,) M, mol/m3
+    nodes : where composition is read and kept up: the mineral's region at least
 
     Returns the iterations of the linear solver.  Raises ConvergenceError.
     """
     if liquid.minerals[number].in_equilibrium:
-        return _equilibrium(liquid, state, number, lowest, absolute)
-    return _kinetic(liquid, state, number, lowest, there, absolute)
+        return _equilibrium(liquid, state, number, lowest, absolute, nodes)
+    return _kinetic(liquid, state, number, lowest, there, absolute, nodes)
 
 
 def _equilibrium(
@@ -100,6 +177,7 @@ def _equilibrium(
     number: int,
     lowest: np.ndarray,
     absolute: float,
+    nodes: np.ndarray,
 ) -> int:
     space, mineral = liquid.space, liquid.minerals[number]
     absolute = max(absolute, 0.1 * liquid.relative * float(np.linalg.norm(space.volume * lowest)))
@@ -121,7 +199,7 @@ def _equilibrium(
             extent, used = space.solve(system, -space.volume * lowest, extent, 0.1 * absolute)
             iterations += used
         state.extents[number] = extent
-        liquid.compose(state)
+        liquid.compose(state, nodes)
         growth = space.outflow(extent) / space.volume
         ln_omega = mineral.ln_omega(state.ln_component)
         stays = active & (growth + lowest >= 0)
@@ -146,6 +224,7 @@ def _kinetic(
     lowest: np.ndarray,
     there: np.ndarray,
     absolute: float,
+    nodes: np.ndarray,
 ) -> int:
     space, mineral = liquid.space, liquid.minerals[number]
     start = mineral.ln_omega(state.ln_component)
@@ -169,19 +248,22 @@ def _kinetic(
         ln_omega = mineral.ln_omega(state.ln_component)
         moving = is_open & (mineral.rate * ln_omega > -lowest)
         sink = np.zeros(space.n)
-        sink[moving] = mineral.rate * _sensitivity(liquid, state, mineral.nu, moving)
+        sink[moving] = mineral.rate * liquid.composer.sensitivity(
+            state.concentration[:, moving], mineral.nu
+        )
         step, used = space.solve(
             space.system(sink=sink), residual, np.zeros(space.n),
             max(1e-3 * norm, 0.1 * absolute),
         )  # fmt: skip
         iterations += used
-        before, old_m = state.extents[number].copy(), state.ln_component.copy()
+        before = state.extents[number].copy()
+        old_m = state.ln_component[:, nodes]
         share = 1.0
         while True:
             state.extents[number] = before + share * step
-            state.ln_component[:] = old_m
+            state.ln_component[:, nodes] = old_m
             try:
-                liquid.compose(state)
+                liquid.compose(state, nodes)
                 growth = rate(mineral.ln_omega(state.ln_component))
                 residual = space.volume * growth - space.outflow(state.extents[number])
                 new_norm = float(np.linalg.norm(residual))
@@ -192,8 +274,9 @@ def _kinetic(
             share *= 0.5
             if share < 1e-6 and norm <= _ROUND_OFF * absolute:
                 # Nothing but round-off is left.
-                state.extents[number], state.ln_component[:] = before, old_m
-                liquid.compose(state)
+                state.extents[number] = before
+                state.ln_component[:, nodes] = old_m
+                liquid.compose(state, nodes)
                 state.rates[number] = rate(mineral.ln_omega(state.ln_component))
                 return iterations
             if share < 1e-6:
@@ -206,15 +289,3 @@ def _kinetic(
         f"{mineral.name}: residual {norm:.2g} after {_MAXIMUM_ROUNDS} Newton steps, "
         f"{absolute:.2g} wanted"
     )
-
-
-def _sensitivity(
-    liquid: ReactingLiquid, state: LiquidState, nu: np.ndarray, nodes: np.ndarray
-) -> np.ndarray:
-    """nu^T (nu^T diag(D C) nu)^-1 nu at some nodes."""
-    matrix = liquid.composer.hessian(state.concentration[:, nodes])
-    scale = 1.0 / np.sqrt(np.einsum("nee->ne", matrix))
-    scaled = matrix * scale[:, :, None] * scale[:, None, :]
-    right = scale * nu
-    solved = np.linalg.solve(scaled, right[:, :, None])[:, :, 0]
-    return np.einsum("ne,ne->n", right, solved)

@@ -1,0 +1,61 @@
+"""What migration in a potential adds to the inflow of the components of a liquid."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from peri.transport.chemistry.species import Chemistry
+from peri.transport.fluxes import migration, sqra, steps_of
+from peri.transport.liquid import LiquidSpace
+
+
+class Migration:
+    """What migration adds to the inflow of every component of a liquid.
+
+    Parameters
+    ----------
+    form : one of FLUX_FORMS
+    space : LiquidSpace
+    chemistry : Chemistry
+
+    groups : Chemistry.charge_groups
+    """
+
+    def __init__(self, form: str, space: LiquidSpace, chemistry: Chemistry) -> None:
+        self.form, self.space = form, space
+        self.components = len(chemistry.components)
+        self.groups = chemistry.charge_groups()
+        self._weights = np.array([w for _, _, w in self.groups])
+
+    def mobility(self, edge: np.ndarray) -> np.ndarray:
+        """sum_k nu_ke z_k D_k C_k of a composition (K,): per change of psi, (E,), mol/m/s."""
+        out = np.zeros(self.components)
+        for e, z, weight in self.groups:
+            out[e] += z * float(weight @ edge)
+        return out
+
+    def inflow(self, concentration: np.ndarray, edge: np.ndarray, psi: np.ndarray) -> np.ndarray:
+        """N_e, (E, n), mol/m3/s.
+
+        concentration : (K, n);  edge : (K,), of the refreshed layer, where psi is 0;  psi : (n,)
+        """
+        space, degree = self.space, self.space.gather(self.space.degree_field)
+        out = np.zeros((self.components, space.n))
+        values, held = self._weights @ concentration, self._weights @ edge
+        steps, shrunk = {}, {}
+        if self.form == "sqra":
+            for z in {z for _, z, _ in self.groups}:
+                steps[z] = steps_of(z, psi)
+                shrunk[z] = space.neighbours(steps[z][1])
+        for (e, z, _), c, at_edge in zip(self.groups, values, held, strict=True):
+            if self.form == "sqra":
+                grown, around = space.neighbours(steps[z][0] * c), space.neighbours(c, at_edge)
+                out[e] += sqra(c, steps[z], grown, around, shrunk[z], degree)
+            else:
+                fields = space.spread(c, at_edge), space.spread(psi)
+                out[e] += space.gather(
+                    migration(
+                        self.form, space.sum, space.all_volume, *fields, z, space.degree_field
+                    )
+                )
+        return out
