@@ -336,8 +336,6 @@ class Degradation(CorrosionProblem):
 
     def foreseen(self, now: Fields, before: Fields, factor: float) -> Fields:
         """The liquid as its last change goes on, once there is one to go by."""
-        if not self.follows_minerals or not factor:
-            return {}
         return foreseen_liquid(now, before, factor)
 
     def continues(self, first: Stage, right: Fields) -> bool:
@@ -456,8 +454,7 @@ class Degradation(CorrosionProblem):
         if self.bath is not None:
             row = (*row, float(self._hold(state.fields["bath"]).ph[0]))
         if self.charge_balance is not None:
-            numbers = state.numbers
-            row = (*row, numbers["metal_potential"], FARADAY * numbers["charge"])
+            row = (*row, state.numbers["metal_potential"], FARADAY * state.numbers["charge"])
         booked = self.stores or self.bath is not None
         return (*row, self._element_error(state)) if booked else row
 

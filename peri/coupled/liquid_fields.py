@@ -73,11 +73,11 @@ class LiquidFields:
 
 
 def foreseen_liquid(now: Fields, before: Fields, factor: float) -> Fields:
-    """Fields `liquid_...` as their last change goes on; none before there is one to go by.
+    """Fields `liquid_...` as their last change goes on; none where there is none to go by.
 
     now, before : of the present state and of the one before;  factor : how far ahead, in last steps
     """
-    if not before["liquid_release"].any():
+    if not factor or "liquid_release" not in before or not before["liquid_release"].any():
         return {}
     found = {}
     for name in (f"liquid_{n}" for n in _SMOOTH):
