@@ -165,7 +165,10 @@ class EquilibriumSolver:
                 factor *= 0.5
                 continue
             here = self._along(result.force, step)
-            log.debug("factor %.3g: residual %.3e, force along the step %.2e", factor, trial, here)
+            log.debug(
+                "factor %.3g: residual %.3e, force along the step %.2e of %.2e",
+                factor, trial, here, start,
+            )  # fmt: skip
             short = here * start > 0.0
             if short or abs(here) <= _ENOUGH * abs(start) or trial <= 0.9 * norm:
                 break

@@ -1,11 +1,11 @@
 """Linear systems of the tensile test: GMRES with multigrid or a factorisation before it.
 
 Ten-node elements take the four-node ones on the same cells as the coarse level ("pmg"; the
-smoother is one Gauss-Seidel sweep before and after), small systems of four-node elements MUMPS,
-large ones GAMG. The stiffness is nonsymmetric, but little so: MUMPS factorises its symmetric part
-(half the work of LU) and two or three GMRES iterations do the rest; where corroded cells make it
-more nonsymmetric than that, LU takes over. A factorisation or a multigrid hierarchy is kept until
-the iterations that its age has cost add up to those a new one is worth.
+smoother is one Gauss-Seidel sweep before and after, `two_levels.py`), small systems of four-node
+elements MUMPS, large ones GAMG. The stiffness is nonsymmetric, but little so: MUMPS factorises its
+symmetric part (half the work of LU) and two or three GMRES iterations do the rest; where corroded
+cells make it more nonsymmetric than that, LU takes over. A factorisation or a multigrid hierarchy
+is kept until the iterations that its age has cost add up to those a new one is worth.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from petsc4py import PETSc
 
 from fem.discretisation import Discretisation
 from fem.multigrid import vertex_interpolation
+from fem.two_levels import TwoLevelCycle
 
 log = logging.getLogger(__name__)
 
@@ -106,6 +107,8 @@ class LinearSolver:
         self._solvers: dict[str, PETSc.KSP] = {}
         self._interpolation: PETSc.Mat | None = None  # of pmg, with its coarse matrix
         self._coarse: PETSc.Mat | None = None
+        self._cycle: TwoLevelCycle | None = None  # of pmg on one rank
+        self._new_values = False  # that the cycle has not seen
         self._rate = 0.0  # iterations per decade with a fresh preconditioner
         self._excess = 0.0  # iterations that its age has cost
 
@@ -133,6 +136,7 @@ class LinearSolver:
         """New stiffness values (scalar CSR order of the assembly)."""
         if self.comm.size == 1:
             self._values[:] = values
+            self._new_values = True
             self.matrix.stateIncrease()
         else:
             self.matrix.setValuesCSR(self._indptr, self._indices, values)
@@ -148,6 +152,9 @@ class LinearSolver:
         if kind == "pmg":
             self._interpolation.destroy()
             self._coarse.destroy()
+            if self._cycle is not None:
+                self._cycle.destroy()
+                self._cycle = None
 
     def _solver(self, kind: str) -> PETSc.KSP:
         if kind in self._solvers:
@@ -168,13 +175,44 @@ class LinearSolver:
             modes = self._rigid_body_modes(d.coordinates[: d.owned_nodes][vertices])
             self._coarse.setNearNullSpace(modes)
             modes.destroy()
-            _set_up_two_levels(pc, self._interpolation, self._coarse)
+            self._set_up_two_levels(pc)
         elif kind == "gamg":
             _set_up_aggregation(pc)
         else:
             _set_up_factorisation(pc, symmetric=kind == "ldlt")
         self._solvers[kind] = ksp
         return ksp
+
+    def _set_up_two_levels(self, pc: PETSc.PC) -> None:
+        """The coarse matrix is Galerkin's, factorised while it is small.
+
+        Of the smoothers tried on a screw corroded for 8 weeks one forward sweep was the cheapest: a
+        backward one after it, two of both or Chebyshev's iteration save too few iterations.  On
+        several ranks PETSc does the cycle.
+        """
+        alone = self.comm.size == 1
+        if not alone:
+            pc.setType(PETSc.PC.Type.MG)
+            pc.setMGLevels(2)
+            pc.setMGInterpolation(1, self._interpolation)
+            smoother = pc.getMGSmoother(1)
+            smoother.setType(PETSc.KSP.Type.RICHARDSON)
+            smoother.setTolerances(max_it=1)
+            smoother.setNormType(PETSc.KSP.NormType.NONE)
+            smoother.getPC().setType(PETSc.PC.Type.SOR)
+            _set_options(smoother.getPC(), "fem_smoother_", pc_sor_local_forward=True)
+        coarse = PETSc.KSP().create(self.comm) if alone else pc.getMGCoarseSolve()
+        coarse.setType(PETSc.KSP.Type.PREONLY)
+        coarse.setOperators(self._coarse)
+        if self._interpolation.getSize()[1] <= _COARSE_UNKNOWNS:
+            _set_up_factorisation(coarse.getPC(), symmetric=False)
+        else:
+            _set_up_aggregation(coarse.getPC())
+        if alone:
+            self._cycle = TwoLevelCycle(self.discretisation, self._interpolation, coarse)
+            self._new_values = True
+            pc.setType(PETSc.PC.Type.PYTHON)
+            pc.setPythonContext(self._cycle)
 
     def _symmetric_part(self) -> PETSc.Mat:
         transposed = self.matrix.transpose(PETSc.Mat())
@@ -196,6 +234,8 @@ class LinearSolver:
         try:
             ksp.setOperators(self.matrix, self._symmetric_part() if cholesky else self.matrix)
             ksp.setUp()
+            if self._cycle is not None and ksp is self._solvers.get("pmg"):
+                self._cycle.set_up()
             good = True
         except PETSc.Error:
             good = False
@@ -206,6 +246,9 @@ class LinearSolver:
     def _iterate(self, ksp: PETSc.KSP, tolerance: float, limit: int) -> bool:
         start = time.perf_counter()
         ksp.getPC().setReusePreconditioner(True)
+        if self._cycle is not None and self._new_values:
+            self._cycle.refresh(self._values)
+            self._new_values = False
         ksp.setTolerances(rtol=tolerance, atol=1e-300, max_it=limit)
         try:
             ksp.solve(self.right, self.solution)
@@ -306,27 +349,3 @@ def _set_up_aggregation(pc: PETSc.PC) -> None:
     """
     pc.setType(PETSc.PC.Type.GAMG)
     _set_options(pc, "fem_gamg_", pc_gamg_threshold=0.0, pc_gamg_coarse_eq_limit=1000)
-
-
-def _set_up_two_levels(pc: PETSc.PC, interpolation: PETSc.Mat, coarse_matrix: PETSc.Mat) -> None:
-    """The coarse matrix is Galerkin's, factorised while it is small.
-
-    Of the smoothers tried on a screw corroded for 8 weeks one forward sweep was the cheapest: a
-    backward one after it, two of both or Chebyshev's iteration save too few iterations.
-    """
-    pc.setType(PETSc.PC.Type.MG)
-    pc.setMGLevels(2)
-    pc.setMGInterpolation(1, interpolation)
-    smoother = pc.getMGSmoother(1)
-    smoother.setType(PETSc.KSP.Type.RICHARDSON)
-    smoother.setTolerances(max_it=1)
-    smoother.setNormType(PETSc.KSP.NormType.NONE)
-    smoother.getPC().setType(PETSc.PC.Type.SOR)
-    _set_options(smoother.getPC(), "fem_smoother_", pc_sor_local_forward=True)
-    coarse = pc.getMGCoarseSolve()
-    coarse.setType(PETSc.KSP.Type.PREONLY)
-    coarse.setOperators(coarse_matrix)
-    if interpolation.getSize()[1] <= _COARSE_UNKNOWNS:
-        _set_up_factorisation(coarse.getPC(), symmetric=False)
-    else:
-        _set_up_aggregation(coarse.getPC())

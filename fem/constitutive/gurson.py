@@ -17,10 +17,12 @@ adds f_N times the increment of a normal distribution in plastic strain. The pla
 sqrt(2/3 d^p : d^p) = sqrt(de_q^2 + 2/9 a^2), as (5.39). J2 is f = 0 in the same equations.
 f stays at most at `limit`, where the strength is RESIDUAL_STRENGTH of the intact one.
 
-LAGGED keeps f of the start of the step in R1 and R2 and updates it afterwards: the step is then
-that of a hardening metal without softening, whose equilibrium is unique and whose tangent is nearly
-symmetric; the error is of first order in the step (Newton finds the coupled equations' solution
-hardly ever once many points soften at the same time).
+LAGGED keeps f of the start of the step in R1 and R2 where pores grow, and updates it afterwards:
+the step is then that of a hardening metal without softening, whose equilibrium is unique and whose
+tangent is nearly symmetric; the error is of first order in the step (Newton finds the coupled
+equations' solution hardly ever once many points soften at the same time). Pores that close harden
+the metal, so there f is that of the end of the step: with the old one R1 would close more than
+there is, and no step of Newton's would end.
 """
 
 from __future__ import annotations
@@ -114,7 +116,7 @@ def _system(a, beta, volume, mises, jacobian, strain, damage, material, kind, ha
         f, f_a, f_b, f_q = material[LIMIT], 0.0, 0.0, 0.0
     elif f < 0.0:
         f, f_a, f_b, f_q = 0.0, 0.0, 0.0, 0.0
-    if material[LAGGED] > 0.0:
+    if material[LAGGED] > 0.0 and a >= 0.0:
         g, g_f = effective_damage(damage, material)
         g_f = 0.0
     else:
@@ -231,7 +233,7 @@ def _start(volume, mises, jacobian, strain, damage, flow, slope, material, kind,
         more = (mises - 3.0 * shear * step - radius * flow) / (3.0 * shear + radius * slope)
         return 0.0, min(1.0, max(flow + slope * more, 1e-3 * flow) * radius / mises)
     size, soft = abs(volume), 1.5 * q2 * material[BULK]
-    strength, lagged = flow, material[LAGGED] > 0.0
+    strength, lagged = flow, material[LAGGED] > 0.0 and volume >= 0.0
     low, high = 0.0, 1.0
     ratio = radius * strength / max(mises, 1e-9 * strength)
     if ratio > 1.0:  # beta <= 1

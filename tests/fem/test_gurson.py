@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fem.constitutive import Material, VoceHardening
-from fem.constitutive.gurson import LIMIT, SHEAR, _bracketed, return_map, yield_function
+from fem.constitutive.gurson import LAGGED, LIMIT, SHEAR, _bracketed, return_map, yield_function
 from fem.constitutive.material import uniaxial_yield
 
 MATERIAL = Material(43e9, 0.3, VoceHardening(130e6, 156e6, 10.6))
@@ -105,3 +105,36 @@ def test_nucleation_and_coalescence():
     assert uniaxial_yield(material, 0.15) == pytest.approx(
         uniaxial_yield(MATERIAL, 0.15), rel=1e-12
     )
+
+
+def test_pores_close_within_the_step_and_the_tangent_is_that_of_the_step():
+    """LAGGED: growth by f of the start, closing as without; derivatives by differences."""
+    lagged = PARAMETERS.copy()
+    lagged[LAGGED] = 1.0
+    nearly_closed = 0
+    for damage in (3e-4, 8e-4, 3e-3, 0.02, 0.3):
+        for size, turn in np.ndindex(12, 6):
+            volume = -(10 ** np.linspace(-3.5, -1.5, 12)[size])  # to 1.1 GPa
+            mises = 3e9 * np.linspace(0.02, 1.5, 6)[turn]
+
+            def solved(v, q, parameters=lagged, damage=damage):
+                # J by the trial volume strain, as a step has it
+                return return_map(v, q, np.exp(v), 0.02, damage, parameters, 0, HARDENING)
+
+            found = solved(volume, mises)
+            same = solved(volume, mises, PARAMETERS)
+            assert found == pytest.approx(same, rel=1e-7, abs=1e-12)  # as the solution is: 1e-10
+            if found[2] == 0.02:
+                continue
+            nearly_closed += found[3] < 0.01 * damage
+            dv, dq = 1e-5 * abs(volume), 1e-5 * mises
+            for k in (0, 1):
+                by_v = (solved(volume + dv, mises)[k] - solved(volume - dv, mises)[k]) / (2 * dv)
+                by_q = (solved(volume, mises + dq)[k] - solved(volume, mises - dq)[k]) / (2 * dq)
+                # solutions are good to 1e-10, so differences to 1e-5
+                assert found[5 + k] == pytest.approx(by_v, rel=1e-3, abs=1e-4)
+                assert found[7 + k] * mises == pytest.approx(by_q * mises, rel=1e-3, abs=1e-4)
+    assert nearly_closed >= 10
+    growing = (0.01, 3e8, 1.0, 0.02, 0.1)
+    grown, implicit = (return_map(*growing, p, 0, HARDENING) for p in (lagged, PARAMETERS))
+    assert grown[3] > 0.1 and grown[1] > implicit[1] + 1e-4

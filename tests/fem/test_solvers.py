@@ -6,6 +6,7 @@ import pytest
 pytest.importorskip("dolfinx")
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 from fem.assembly import constrain, multiply
 from fem.multigrid import vertex_interpolation
@@ -88,6 +89,28 @@ def test_iterations_of_the_two_levels_grow_neither_with_the_mesh_nor_with_the_ju
             iterations.append(solver.statistics.iterations)
     # measured 15 to 27; the solver itself gives up after 60
     assert max(iterations) <= 32
+
+
+def test_the_cycle_is_a_sweep_before_and_after_the_coarse_correction():
+    """Against dense matrices, where a sweep solves with the lower triangle of blocks."""
+    assembler, values, right, fixed = system(softest=1e-2)
+    d = assembler.discretisation
+    solver = LinearSolver(MPI.COMM_SELF, d, fixed, "pmg")
+    solver.set_values(values)
+    solver.solve(right, 1e-8)
+    x, y = solver.matrix.createVecs()
+    x.array[:] = right.ravel()
+    solver._cycle.apply(None, x, y)
+    dense = solver.matrix.convert("dense", PETSc.Mat()).getDenseArray().copy()
+    lift = solver._interpolation.convert("dense", PETSc.Mat()).getDenseArray().copy()
+    block = np.arange(len(dense)) // 3
+    lower = np.where(block[:, None] >= block, dense, 0.0)
+    step = np.linalg.solve(lower, x.array)
+    coarse = lift.T @ (x.array - dense @ step)
+    step += lift @ np.linalg.solve(lift.T @ dense @ lift, coarse)
+    step += np.linalg.solve(lower, x.array - dense @ step)
+    # single precision: 1e-7 of the largest number, times what a sweep adds up
+    assert abs(y.array - step).max() <= 1e-5 * abs(step).max()
 
 
 def test_the_coarse_space_follows_the_unknowns_that_cells_leave_fixed():
