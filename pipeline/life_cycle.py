@@ -6,7 +6,8 @@ folders are those of `pipeline.record.run_folder`.
 
 import logging
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 from pipeline.record import interruption, machine
@@ -107,16 +108,33 @@ class StagedRun:
                 "time zero was not asked for; the intact solid is pulled too, for the ratio"
             )
         names = [alloy.name for alloy in self.scene.alloys]
-        self.geometry()
-        for name in names:
-            self.corrode(name)
         tests = [(n, moment, h) for h in self.scene.holds for n in names for moment in times]
-        for test in tests:
-            self.map(*test)
-        self.pull(tests)
+        with self._children(tests):
+            self.geometry()
+            for name in names:
+                self.corrode(name)
+            for test in tests:
+                self.map(*test)
+            self.pull(tests)
         rows = self.summarise()
         self.report()
         return rows
+
+    @contextmanager
+    def _children(self, tests: list[Test]) -> Iterator[None]:
+        """Children for the pulls, one of which compiles what they need while the rest is done."""
+        missing = [t for t in tests if self.folder.read_record(self._place(t), "pull") is None]
+        if not missing or self.pull_here or self.ranks > 1:
+            yield
+            return
+        given = self.crew
+        workers = min(self.workers, len(missing))
+        with nullcontext(given) if given else Crew(workers, self.folder.descriptors) as self.crew:
+            self.crew.prepare(test[2].tensile.element for test in missing)
+            try:
+                yield
+            finally:
+                self.crew = given
 
     def geometry(self) -> StageRecord:
         """Solid and tetrahedral meshes."""

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -22,10 +22,13 @@ from pipeline.stages.strength import (
     LOG_FILE,
     PROGRESS_FILE,
     TensileJob,
+    compile_for,
     forget_others,
     run_job,
     run_jobs_here,
 )
+
+logger = logging.getLogger(__name__)
 
 POLL_SECONDS = 0.1
 
@@ -46,9 +49,33 @@ class Crew:
         self._environment = _environment(1, workers)
         self._start = partial(children.start, keep=keep)
         self.idle: list[Worker] = []
+        self._preparing: Worker | None = None
+
+    def prepare(self, elements: Iterable[str]) -> None:
+        """Let a child load and compile what tests of these elements need, while others work.
+
+        Compiling takes longer than a small test.  The child does tests afterwards.
+        """
+        self._preparing = self.worker()
+        self._preparing.begin({"prepare": sorted(set(elements))})
+
+    def _prepared(self) -> None:
+        """Wait for the child of `prepare`, so that no second one compiles the same."""
+        if self._preparing is None:
+            return
+        while not self._preparing.answered():
+            interruption.check()
+            time.sleep(POLL_SECONDS)
+        try:
+            self._preparing.answer()
+        except WorkerEndedError as error:  # where a test needs what failed, that test says so
+            logger.info("nothing was compiled ahead: %s", error)
+        self.idle.append(self._preparing)
+        self._preparing = None
 
     def worker(self) -> Worker:
         """A child that waits, or a new one."""
+        self._prepared()
         while self.idle:
             worker = self.idle.pop(0)
             if worker.alive():
@@ -61,6 +88,8 @@ class Crew:
 
     def __exit__(self, *error: object) -> None:
         """End the children."""
+        if self._preparing is not None:
+            self.idle.append(self._preparing)
         while self.idle:
             self.idle.pop().close()
 
@@ -208,7 +237,11 @@ def _read_fraction(folder: Path) -> float:
 
 
 def _answer(content: dict) -> str:
-    """Do a job; what stops it stands in its log, too."""
+    """Do a job; what stops it stands in its log, too.  Or compile what jobs need."""
+    if "prepare" in content:
+        for element in content["prepare"]:
+            compile_for(element)
+        return ""
     job = TensileJob.from_json(content)
     try:
         run_jobs_here({job.out: job})

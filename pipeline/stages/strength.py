@@ -149,6 +149,21 @@ def run_job(job: TensileJob, comm: object = None) -> None:
         checkpoint.unlink(missing_ok=True)
 
 
+def compile_for(element: str) -> None:
+    """Pull a cube of six cells of an element a little, which compiles what any test needs."""
+    from mpi4py import MPI
+
+    from fem.constitutive.hardening import VoceHardening
+    from fem.constitutive.material import Material
+    from fem.strength import TensileSettings, tensile_test
+
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * 1e-3  # m
+    cells = [(0, 4, 6, 7), (0, 4, 5, 7), (0, 2, 6, 7), (0, 2, 3, 7), (0, 1, 5, 7), (0, 1, 3, 7)]
+    metal = Material(young=43e9, poisson=0.3, hardening=VoceHardening(130e6, 120e6, 10.0))
+    settings = TensileSettings(element, maximum_strain=0.01, maximum_increment=0.01, threads=1)
+    tensile_test(corners, np.array(cells), 0.1, metal, settings, MPI.COMM_SELF)
+
+
 class _Seldom:
     """Observer that hands on to another one when `seconds` have passed since it last did."""
 

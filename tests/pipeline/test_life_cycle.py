@@ -101,6 +101,7 @@ def calls(monkeypatch) -> list[str]:
     monkeypatch.setattr("pipeline.stages.corrosion.corrode_in_folder", corrode)
     monkeypatch.setattr("pipeline.stages.mapping.map_in_folder", map_damage)
     monkeypatch.setattr(life_cycle, "run_jobs", pulls)
+    monkeypatch.setattr(life_cycle.Crew, "prepare", lambda self, elements: None)
     monkeypatch.setattr("pipeline.report.report.write_report", report)
     return made
 

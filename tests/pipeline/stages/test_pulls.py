@@ -95,6 +95,23 @@ def test_a_crew_is_kept_from_one_call_to_the_next_and_a_failure_costs_one_child(
         assert not Path("/proc", number).exists()
 
 
+@pytest.mark.parametrize("element", ["P2", "none"])
+def test_a_child_that_compiles_ahead_then_pulls_and_its_failure_costs_no_test(
+    tmp_path, monkeypatch, element
+):
+    monkeypatch.setattr(pulls, "_MODULE", PRETENDING)
+    with Crew(2) as crew:
+        crew.prepare([element, element])
+        first = crew._preparing.process.pid
+        run_jobs({name: job(tmp_path / name) for name in "ab"}, workers=2, crew=crew)
+    children = {int((tmp_path / name / "by").read_text()) for name in "ab"}
+    assert len(children) == 2 and (first in children) == (element == "P2")
+    with Crew(1) as crew:
+        crew.prepare([element])
+        left = crew._preparing.process
+    assert left.poll() is not None
+
+
 def test_a_test_that_cannot_be_done_leaves_its_reason_in_the_log(tmp_path):
     """A real child, asked for a test without a mesh."""
     wrong = job(tmp_path / "a")
