@@ -17,9 +17,9 @@ def read_tiff_stack(
     """Numbers (nx, ny, nz) of a stack, its voxel size and the unit of that, or None and "".
 
     x is a slice's column, y its row and z the page, or the file in the order of the names (with
-    numbers in them by value).  The voxel size is known where ImageJ wrote the file: the dots per
-    inch that other files carry say how to print them.  ValueError for what is no stack of slices
-    of one size with one number a pixel.
+    numbers in them by value).  The voxel size is known where ImageJ wrote the file or it is an
+    OME-TIFF: the dots per inch that other files carry say how to print them.  ValueError for what
+    is no stack of slices of one size with one number a pixel.
     """
     from PIL import Image, UnidentifiedImageError
 
@@ -39,7 +39,8 @@ def read_tiff_stack(
                     if slices[-1].shape != slices[0].shape or slices[-1].dtype != slices[0].dtype:
                         raise ValueError(f"{file.name} has slices of several sizes or kinds")
                 if file is files[0]:
-                    lengths, unit = _imagej_voxel(picture)
+                    picture.seek(0)
+                    lengths, unit = _described_voxel(picture, file)
         except (UnidentifiedImageError, EOFError, OSError, SyntaxError) as error:
             if isinstance(error, OSError) and error.errno is not None:
                 raise
@@ -59,12 +60,18 @@ def _pixels(picture, file: Path) -> np.ndarray:
     return values.astype(np.uint8) if values.dtype == bool else values
 
 
-def _imagej_voxel(picture) -> tuple[tuple[float, float, float] | None, str]:
-    """What ImageJ wrote: pixels per unit in two tags, spacing and unit in the description."""
-    picture.seek(0)
+def _described_voxel(picture, file: Path) -> tuple[tuple[float, float, float] | None, str]:
+    """Voxel size and unit from the description of the first page, where a program wrote one."""
     text = picture.tag_v2.get(270, "")
-    if not isinstance(text, str) or not text.startswith("ImageJ="):
-        return None, ""
+    if isinstance(text, str) and text.startswith("ImageJ="):
+        return _imagej_voxel(picture, text)
+    if isinstance(text, str) and "<OME" in text:
+        return _ome_voxel(text, file)
+    return None, ""
+
+
+def _imagej_voxel(picture, text: str) -> tuple[tuple[float, float, float] | None, str]:
+    """What ImageJ wrote: pixels per unit in two tags, spacing and unit in the description."""
     lines = dict(line.split("=", 1) for line in text.splitlines() if "=" in line)
     unit = lines.get("unit", "").replace("\\u00B5", "µ")
     across, down = (float(picture.tag_v2.get(tag, 0.0)) for tag in (282, 283))
@@ -72,3 +79,24 @@ def _imagej_voxel(picture) -> tuple[tuple[float, float, float] | None, str]:
     if unit in ("", "pixel") or not across > 0 or not down > 0 or apart is None:
         return None, ""
     return (1.0 / across, 1.0 / down, float(apart.group(1))), unit
+
+
+def _ome_voxel(text: str, file: Path) -> tuple[tuple[float, float, float] | None, str]:
+    """The physical size of a pixel that an OME-TIFF has in its XML; um where no unit is given."""
+    said = dict(re.findall(r'\b((?:Size|PhysicalSize)\w+)="([^"]*)"', text))
+    for name, what in (("SizeC", "channels"), ("SizeT", "times")):
+        if said.get(name, "1") != "1":
+            raise ValueError(f"{file.name} has {said[name]} {what}; it must have one")
+    sizes = [said.get(f"PhysicalSize{axis}", "") for axis in "XYZ"]
+    units = {said.get(f"PhysicalSize{axis}Unit", "µm") for axis in "XYZ"}
+    if "" in sizes:
+        return None, ""
+    if len(units) > 1:
+        raise ValueError(f"{file.name} has several units of length; it must have one")
+    try:
+        x, y, z = map(float, sizes)
+    except ValueError:
+        raise ValueError(
+            f"{file.name} has voxels of {' x '.join(sizes)}; it must be three numbers"
+        ) from None
+    return (x, y, z), units.pop()

@@ -73,6 +73,8 @@ def image_from_options(options: argparse.Namespace) -> ImageFile | None:
     if not path.is_dir() and not path.name.lower().endswith(SUFFIXES):
         raise ValueError(
             f"image is '{path}'; it must be a folder of TIFF slices or end in {', '.join(SUFFIXES)}"
+            + "; a header with its voxels in another file must be saved as one file of these"
+            * path.name.lower().endswith((".mhd", ".nhdr"))
         )
     if (options.threshold is None) == (options.label is None):
         raise ValueError("of --threshold and --label one must be given with --image")

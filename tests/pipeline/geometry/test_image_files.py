@@ -70,6 +70,40 @@ def test_a_stack_of_imagej_says_how_large_its_voxels_are(tmp_path):
     assert read_image(tmp_path / "a.tif").voxel == pytest.approx((5e-6, 5e-6, 7.5e-6), rel=1e-12)
 
 
+OME = (
+    '<?xml version="1.0"?><OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06"><Image>'
+    '<Pixels DimensionOrder="XYZCT" SizeX="6" SizeY="4" SizeZ="12" SizeC="1" SizeT="1" '
+    'PhysicalSizeX="5.0" PhysicalSizeY="5.0" PhysicalSizeZ="7.5"/></Image></OME>'
+)
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [
+        (("", ""), (5e-6, 5e-6, 7.5e-6)),
+        (('="7.5"', '="7500" PhysicalSizeZUnit="nm"'), "several units"),
+        (('X="5.0"', 'X="x"'), "must be three numbers"),
+        (('SizeC="1"', 'SizeC="3"'), "has 3 channels; it must have one"),
+        ((' PhysicalSizeZ="7.5"', ""), "does not say how large its voxels are"),
+    ],
+)
+def test_an_ome_tiff_says_how_large_its_voxels_are(tmp_path, change, found):
+    from PIL import Image
+
+    pages = [Image.fromarray(page) for page in numbers("u1").T]
+    path = tmp_path / "a.ome.tif"
+    pages[0].save(
+        path, save_all=True, append_images=pages[1:], tiffinfo={270: OME.replace(*change)}
+    )
+    if isinstance(found, str):
+        with pytest.raises(ValueError, match=found):
+            read_image(path)
+        return
+    image = read_image(path)
+    assert image.voxel == pytest.approx(found, rel=1e-12)
+    assert np.array_equal(image.values, numbers("u1"))
+
+
 def test_vtk_reads_the_same_from_an_mha(tmp_path):
     """An independent reader, of the one format in which it is right (see image_files)."""
     import pyvista
