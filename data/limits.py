@@ -67,6 +67,8 @@ MOLAR_VOLUME = _above_zero("molar volume", 1e-2)
 RATE_CONSTANT = _above_zero("surface reaction rate", 1e3)
 SPECIFIC_SURFACE = _above_zero("specific surface", 1e9)
 NUCLEATION_INDEX = Limits("dimensionless", 0, 100)
+ADSORPTION_CONSTANT = _above_zero("molar volume", 1e9)
+EFFICIENCY = Limits("dimensionless", 0.0, 1.0, open_lowest=True)
 
 MEDIUM = {"temperature": TEMPERATURE}
 MEDIUM_OPTIONAL = {

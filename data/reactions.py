@@ -65,6 +65,15 @@ class MineralData(Record):
 
 
 @dataclass(frozen=True)
+class InhibitorData(Record):
+    """A component that covers the metal: rate times 1 - efficiency K C / (1 + K C)."""
+
+    component: str
+    adsorption_constant: Quantity  # K, m^3/mol
+    efficiency: Quantity
+
+
+@dataclass(frozen=True)
 class ReactionSet(Record):
     """Species, reactions and minerals that belong together; `at` gives numbers in SI."""
 
@@ -75,6 +84,7 @@ class ReactionSet(Record):
     reactions: Mapping[str, FormationReaction]
     minerals: Mapping[str, MineralData]
     activity: str
+    inhibitor: InhibitorData | None = None
     first_published: str = ""
     note: str = ""
 
@@ -125,6 +135,12 @@ class ReactionSet(Record):
                 for n, m in self.minerals.items()
                 if n in minerals
             },
+            inhibitor=self.inhibitor
+            and InhibitorNumbers(
+                self.inhibitor.component,
+                self.inhibitor.adsorption_constant.si,
+                self.inhibitor.efficiency.si,
+            ),
         )
 
 
@@ -144,6 +160,15 @@ class MineralNumbers:
 
 
 @dataclass(frozen=True)
+class InhibitorNumbers:
+    """An inhibitor, SI."""
+
+    component: str
+    adsorption_constant: float
+    efficiency: float
+
+
+@dataclass(frozen=True)
 class ReactionNumbers:
     """A set at one temperature (K): plain numbers in SI; log_k stays log10 in mol/L."""
 
@@ -155,6 +180,7 @@ class ReactionNumbers:
     water: dict[str, int]
     log_k: dict[str, float]
     minerals: dict[str, MineralNumbers]
+    inhibitor: InhibitorNumbers | None = None
 
 
 def _between(values: Mapping[float, Quantity], temperature: float, what: str, log: bool) -> float:
@@ -201,6 +227,7 @@ def load_reaction_set(name: str | Path) -> ReactionSet:
         reactions=reactions,
         minerals=minerals,
         activity=file.text("activity", allowed=ACTIVITIES),
+        inhibitor=_inhibitor(file, components) if "inhibitor" in file.entries else None,
         first_published=file.source_or_none("first_published"),
         note=file.text("note", default=""),
     )
@@ -268,6 +295,17 @@ def _mineral(table: Table, components: tuple[str, ...]) -> MineralData:
     )
     table.done()
     return mineral
+
+
+def _inhibitor(file: Table, components: tuple[str, ...]) -> InhibitorData:
+    table = file.table("inhibitor")
+    inhibitor = InhibitorData(
+        component=table.text("component", allowed=components),
+        adsorption_constant=table.quantity("adsorption_constant", limits.ADSORPTION_CONSTANT),
+        efficiency=table.quantity("efficiency", limits.EFFICIENCY),
+    )
+    table.done()
+    return inhibitor
 
 
 def _counts(

@@ -19,7 +19,7 @@ UNITS: dict[str, dict[str, float]] = {
     "concentration": {"mol/m^3": 1.0, "mmol/L": 1.0, "mol/L": 1e3},
     "diffusivity": {"m^2/s": 1.0, "cm^2/s": 1e-4, "mm^2/s": 1e-6},
     "degradation rate": {"m/s": 1.0, "mm/year": 1e-3 / (365.25 * 86400.0)},
-    "molar volume": {"m^3/mol": 1.0, "cm^3/mol": 1e-6},
+    "molar volume": {"m^3/mol": 1.0, "L/mol": 1e-3, "cm^3/mol": 1e-6},
     "surface reaction rate": {"mol/(m^2 s)": 1.0},
     "specific surface": {"1/m": 1.0, "m^2/m^3": 1.0},
     "temperature": {"K": 1.0, "degC": 1.0},

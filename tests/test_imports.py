@@ -78,6 +78,7 @@ BELOW = {
         "kinetics": set(),
         "acidity": {"kinetics"},
         "electrode_kinetics": {"kinetics"},
+        "inhibition": {"kinetics"},
         "liquid_factors": {"kinetics"},
         "passivity": {"kinetics"},
         "polarization": {"kinetics"},

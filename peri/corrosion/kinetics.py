@@ -25,9 +25,9 @@ class Exposed:
     volume_loss : V_L of the whole metal.  phase : which of the scene's solids a node is (from 1).
     concentration : of the liquid that a node sees, mol/m^3
     (the mean over its bonds to liquid).  potential : metal minus liquid, V.  age : s since the
-    node was exposed.  ph, chloride and magnesium (total, mol/m^3) : of the liquid that a node sees
-    where its ions are followed.  layer : thickness of the minerals on a node, m.  What a law does
-    not need may be missing.
+    node was exposed.  ph, chloride, magnesium and inhibitor (totals, mol/m^3) : of the liquid that
+    a node sees where its ions are followed.  layer : thickness of the minerals on a node, m.  What
+    a law does not need may be missing.
     """
 
     volume_loss: float | np.ndarray = 0.0
@@ -38,6 +38,7 @@ class Exposed:
     ph: np.ndarray | float | None = None
     chloride: np.ndarray | float | None = None
     magnesium: np.ndarray | float | None = None
+    inhibitor: np.ndarray | float | None = None
     layer: np.ndarray | float | None = None
 
 

@@ -114,9 +114,24 @@ class ChargeBalance:
         return discrete.base_diffusivity * discrete.box_metal_volume * drawn
 
     @property
+    def rest(self) -> float:
+        """The potential that is held, or that the first solid has by itself in the medium, V."""
+        if self.potential is not None:
+            return self.potential
+        return float(self.laws[0].corrosion_potential(self.laws[0].ph_reference, 0.0))
+
+    @property
     def wanted(self) -> float:
         """Moles of metal that leave their electrons to the current, over a cell's volume, 1/s."""
         return (self.current or 0.0) / (ELECTRONS * FARADAY * self.scene.lattice.cell_volume)
+
+    def begin(self, around: Surroundings) -> None:
+        """Give the kinetics the potential that the metal has in the medium at first."""
+        discrete = around.discrete
+        clean = {"liquid_potential": 0.0, **discrete.surface}
+        discrete.surface["potential"], _ = self.find(
+            around, discrete.initial_concentration, None, clean
+        )
 
     def find(
         self,
@@ -136,8 +151,7 @@ class ChargeBalance:
         strengths = self.strengths(around, concentration, theta)
         of = strengths > 0
         if not of.any():  # no metal is left
-            rest = float(self.laws[0].corrosion_potential(self.laws[0].ph_reference, 0.0))
-            return rest, np.full(of.shape, rest)
+            return self.rest, np.full(of.shape, self.rest)
         phi = np.broadcast_to(beside["liquid_potential"], of.shape)
         surface = _Surface(self, strengths[of], discrete.box_phase[of], _on(of, beside), phi[of])
         grown = 1.0

@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.ndimage import binary_erosion, distance_transform_edt
+from scipy.ndimage import binary_erosion
 
 from peri.corrosion.kinetics import Exposed
 from peri.corrosion.nodes.problem import COLUMNS, CorrosionProblem
@@ -25,10 +25,16 @@ from peri.corrosion.scene import CorrosionScene
 from peri.coupled.bath import Bath, BathLiquid
 from peri.coupled.booking import element_error
 from peri.coupled.charge_balance import ELECTRONS, ChargeBalance, check_one_piece
-from peri.coupled.feedback import OF_THE_LIQUID, Agreement, beside_metal, medium_beside
+from peri.coupled.feedback import (
+    OF_THE_LIQUID,
+    Agreement,
+    beside_metal,
+    components_of,
+    medium_beside,
+)
 from peri.coupled.liquid_fields import LiquidFields, foreseen_liquid
 from peri.coupled.outputs import composition
-from peri.coupled.surroundings import HYDROGEN_PER_METAL, Surroundings
+from peri.coupled.surroundings import HYDROGEN_PER_METAL, Surroundings, relaxation_time
 from peri.engine.constants import FARADAY
 from peri.engine.march.checkpoints import fingerprint
 from peri.engine.march.problem import Attempt, BoundsError, Fields, Stage, State
@@ -51,7 +57,7 @@ _LATTICE_FIELDS = ("minerals", "rest", "content", "bath")
 
 
 class Degradation(CorrosionProblem):
-    """A corrosion scene in a medium whose ions are followed.
+    """A CorrosionScene in a medium whose ions are followed as TransportOptions say.
 
     Fields of its states beside those of CorrosionProblem, while the liquid is followed: `minerals`
     (M, padded lattice), mol/m3 of liquid; `rest` (padded), mol/m3 of metal in nodes that turned
@@ -61,9 +67,7 @@ class Degradation(CorrosionProblem):
 
     Parameters
     ----------
-    scene : CorrosionScene
     medium : Solution of one node: what the refreshed layer holds
-    options : TransportOptions
     solver_tolerance : of the metal's march (CorrosionProblem)
     minerals : follow the minerals in time; None: only if one could form at the first release,
         which is the largest
@@ -93,10 +97,11 @@ class Degradation(CorrosionProblem):
         reads = scene.needs & given if self.discrete.box is not None else ()
         self._reads = tuple(sorted(reads))
         self.of_the_box = (*self.of_the_box, *(f"seen_{name}" for name in self._reads))
-        self.discrete.surface |= medium_beside(medium)
-        self.medium, self.options = medium, options or TransportOptions()
+        self._components = components_of(scene, medium)
+        self.discrete.surface |= medium_beside(medium, self._components)
         if self.charge_balance is not None:
-            self.charge_balance.check(self.options.closure, bath is not None)
+            self.discrete.surface["potential"] = self.charge_balance.rest
+        self.medium, self.options = medium, options or TransportOptions()
         self._surroundings: Surroundings | None = None
         self._at_start: np.ndarray | None = None
         self.stores = self._must_store() if storage is None else storage
@@ -104,13 +109,11 @@ class Degradation(CorrosionProblem):
             # The liquid's balance is no better than that of what the metal releases into it.
             self.discrete.tolerance = min(solver_tolerance, 1e-12)
         if self.charge_balance is not None:
-            clean = {"liquid_potential": 0.0, **self.discrete.surface}
-            metal = self.discrete.initial_concentration
-            first, _ = self.charge_balance.find(self.surroundings, metal, None, clean)
-            self.discrete.surface["potential"] = first
+            self.charge_balance.check(self.options.closure, bath is not None)
+            self.charge_balance.begin(self.surroundings)
         self.first = self._first_liquid()
         self.bath = None if bath is None else BathLiquid(bath, medium)
-        if bath is not None and not self.discrete.fixed.any():
+        if bath is not None and not self.discrete.is_open:
             raise ValueError(
                 f"bath: the scene's boundary is '{scene.boundary}', which nothing leaves through; "
                 "a bath needs 'refreshed'"
@@ -164,7 +167,7 @@ class Degradation(CorrosionProblem):
 
     def _must_store(self) -> bool:
         """Whether a liquid at rest would err by too much, or has no state at all."""
-        if not self.discrete.fixed.any():
+        if not self.discrete.is_open:
             return True
         return self.options.closure in ("electroneutral", "none") and (
             self.storage_bound() > STORAGE_LIMIT
@@ -173,20 +176,16 @@ class Degradation(CorrosionProblem):
     def storage_bound(self) -> float:
         """Relative error of a release at rest: what it changes by while the liquid relaxes.
 
-        L^2 / (2 D) (|d ln g / dV_L| dV_L/dt + the fastest node's loss rate), L the largest
-        distance from the metal, D the smallest diffusivity.
+        relaxation_time (|d ln g / dV_L| dV_L/dt + the fastest node's loss rate).
         """
         scene = self.scene
-        away = distance_transform_edt(~scene.metal, sampling=scene.lattice.spacing)
-        width = float(away[scene.domain].max())
         pace = self.pace(super().initial())
         if scene.one_rate:
             first, later = (scene.kinetics.rate(Exposed(v)) for v in (0.0, 1e-6))
             steepness = abs(later / first - 1) / 1e-6 if first else 0.0
             metal = scene.metal & ~binary_erosion(scene.metal)
             pace *= 1.0 + steepness * float(metal.sum()) / max(float(scene.metal.sum()), 1.0)
-        slowest = float(self.medium.chemistry.diffusivity.min())
-        return width**2 / (2 * slowest) * pace
+        return relaxation_time(scene, self.medium) * pace
 
     def _first_liquid(self) -> LiquidState:
         """The liquid at the first release, without minerals; with storage as it begins."""
@@ -367,8 +366,9 @@ class Degradation(CorrosionProblem):
             stage = self._joined(old, tau, State(guess.time, fields, guess.numbers))
             stage.fields |= seen
             iterations += stage.iterations
-            around, liquid = self.surroundings, self.on_nodes.read(stage.fields)
-            found = beside_metal(around, liquid, self.on_nodes.at(stage.fields["minerals"]))
+            around, nodes = self.surroundings, self.on_nodes
+            liquid, amounts = nodes.read(stage.fields), nodes.at(stage.fields["minerals"])
+            found = beside_metal(around, liquid, amounts, self._components)
             if balance is not None:
                 new, theta = stage.fields["concentration"], stage.fields.get("theta")
                 metal, found["potential"] = balance.find(around, new, theta, found, agreement.seen)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from peri.corrosion.inhibition import Inhibited
 from peri.corrosion.nodes.bimaterial import BiMaterial
+from peri.corrosion.scene import CorrosionScene
 from peri.coupled.surroundings import Surroundings
 from peri.engine.solvers import ConvergenceError
 from peri.transport.chemistry.speciation import Solution
@@ -24,18 +26,36 @@ _VOLT = 0.025
 Seen = dict[str, np.ndarray]
 Rates = Callable[[Seen, float], Sequence[np.ndarray] | np.ndarray]
 
-OF_THE_LIQUID = frozenset({"ph", "chloride", "magnesium", "layer"})
+OF_THE_LIQUID = frozenset({"ph", "chloride", "magnesium", "inhibitor", "layer"})
 """Quantities of peri.corrosion.kinetics.Exposed that come from here."""
 
+COMPONENTS = {"chloride": "Cl", "magnesium": "Mg"}
+"""Quantities that are totals of a component."""
 
-def medium_beside(medium: Solution) -> dict[str, np.ndarray | float]:
+
+def components_of(scene: CorrosionScene, medium: Solution) -> dict[str, str]:
+    """COMPONENTS, and the inhibitor that the scene's law names.
+
+    Raises ValueError for an inhibitor that is no component of the medium's chemistry, or several.
+    """
+    laws = [scene.law_of(solid) for solid in scene.solids]
+    names = {law.inhibitor for law in laws if isinstance(law, Inhibited)}
+    if len(names) > 1:
+        raise ValueError(f"inhibitor: {' and '.join(sorted(names))}; all solids must name one")
+    for name in names - set(medium.chemistry.components):
+        raise ValueError(
+            f"inhibitor: '{name}' is no component of the liquid; it must be one of "
+            f"{', '.join(medium.chemistry.components)}"
+        )
+    return {**COMPONENTS, **dict.fromkeys(("inhibitor",) * len(names), *names)}
+
+
+def medium_beside(
+    medium: Solution, components: Mapping[str, str] = COMPONENTS
+) -> dict[str, np.ndarray | float]:
     """What metal in fresh medium sees: no magnesium but the medium's own, no layer."""
-    return {
-        "ph": float(medium.ph[0]),
-        "chloride": _total(medium, "Cl"),
-        "magnesium": _total(medium, "Mg"),
-        "layer": 0.0,
-    }
+    totals = {name: _total(medium, component) for name, component in components.items()}
+    return {"ph": float(medium.ph[0]), **totals, "layer": 0.0}
 
 
 def _total(medium: Solution, component: str) -> float:
@@ -44,11 +64,15 @@ def _total(medium: Solution, component: str) -> float:
 
 
 def beside_metal(
-    around: Surroundings, state: LiquidState, amounts: np.ndarray
+    around: Surroundings,
+    state: LiquidState,
+    amounts: np.ndarray,
+    components: Mapping[str, str] = COMPONENTS,
 ) -> dict[str, np.ndarray | float]:
     """The mean over each metal node's bonds to liquid, as padded fields of the box around it.
 
-    state : of the liquid;  amounts : (M, n) minerals, mol/m3.  The layer's thickness is the volume
+    state : of the liquid;  amounts : (M, n) minerals, mol/m3;  components : of the quantities that
+    are totals of one (components_of).  The layer's thickness is the volume
     of the minerals per volume of liquid times the width of a cell, the liquid cell being what
     stands in front of the metal.  `liquid_potential` is phi, V.
     """
@@ -71,7 +95,7 @@ def beside_metal(
     fresh = float(liquid.medium.concentration[h, 0])
     held = float(liquid.medium.ph[0]) + float(np.log10(fresh / liquid.edge[h]))
     found: dict[str, np.ndarray | float] = {"ph": mean(liquid.ph(state), held)}
-    for name, component in (("chloride", "Cl"), ("magnesium", "Mg")):
+    for name, component in components.items():
         if component in chemistry.components:
             e = chemistry.components.index(component)
             found[name] = mean(totals[e], float(edge[e]))
@@ -149,7 +173,7 @@ class Agreement:
         return out
 
 
-_POSITIVE = frozenset({"chloride", "magnesium", "layer"})
+_POSITIVE = frozenset({"chloride", "magnesium", "inhibitor", "layer"})
 
 
 def _scale(name: str, values: np.ndarray) -> float:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.ndimage import distance_transform_edt
 
 from peri.corrosion.nodes.bimaterial import BiMaterial
+from peri.corrosion.scene import CorrosionScene
 from peri.transport.chemistry.speciation import Solution
 from peri.transport.liquid import LiquidSpace, LiquidState
 from peri.transport.nernst_planck import QuasiSteadyLiquid, TransportOptions
@@ -15,6 +17,13 @@ MAGNESIUM = {"Mg": 1.0, "OH": 2.0}
 
 HYDROGEN_PER_METAL = 1.0
 """Moles of H2 per mole of magnesium."""
+
+
+def relaxation_time(scene: CorrosionScene, medium: Solution) -> float:
+    """L^2 / (2 D), s: L the largest distance from the metal, D the smallest diffusivity."""
+    away = distance_transform_edt(~scene.metal, sampling=scene.lattice.spacing)
+    width = float(away[scene.domain].max())
+    return width**2 / (2 * float(medium.chemistry.diffusivity.min()))
 
 
 class Surroundings:

@@ -34,6 +34,7 @@ def ion_section(run: RunResults) -> dict[str, object]:
         "reactions": first["reactions"],
         "bath": first.get("bath", ""),
         "feedback": first.get("feedback", ""),
+        "electrodes": first.get("electrodes", ""),
         "closure": first["closure"],
         "flux_form": first["flux_form"],
         "assumed": first["assumed"],
@@ -60,7 +61,7 @@ def _row(row: dict, medium: dict) -> dict[str, object]:
         "beside": "–" if beside is None else f"{beside:.3f}",
         "potential": f"{1e3 * row['largest_potential']:.3f}",
         "hydrogen": f"{row['hydrogen_ml_per_cm2']:.2f}",
-        "magnesium": f"{1e6 * row['hydrogen_mol']:.3g}",
+        "magnesium": f"{1e6 * row.get('released_mol', row['hydrogen_mol']):.3g}",
         "minerals": ", ".join(
             f"{name} {1e6 * found['amount_mol']:.2g}"
             for name, found in row["minerals"].items()

@@ -341,11 +341,22 @@ class Scene:
             bare = "left out where --model is nnpp"
             check(self.corrosion.coating is None, "coating", self.corrosion.coating, bare)
             for name, value, right, why in (
-                ("boundary", self.domain.boundary, "refreshed", ", whose ions need a way out"),
                 ("dissolution", self.corrosion.dissolution, "proportional", ""),
                 ("rate classes", self.corrosion.classes, 0, ""),
+                *self._closed(),
             ):
                 check(value == right, name, f"'{value}'", f"{right} where the model is nnpp{why}")
+
+    def _closed(self) -> list[tuple[str, str, str, str]]:
+        """What of the ions wants liquid that is refreshed: name, given, right and why."""
+        ions, boundary = self.ions, self.domain.boundary
+        applied = ions.electrodes is not None and ions.electrodes.balance == "applied"
+        wants = {
+            " and a current is applied, which leaves through it": applied,
+            " and the medium is a bath, which is beyond it": ions.bath_volume is not None,
+            f" with closure {ions.closure}": ions.closure in ("poisson", "as_published"),
+        }
+        return [("boundary", boundary, "refreshed", why) for why, true in wants.items() if true]
 
     @property
     def mesh(self) -> MeshSettings:

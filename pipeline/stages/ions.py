@@ -5,6 +5,7 @@ import logging
 import math
 import os
 import types
+import typing
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -12,13 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
+from peri.corrosion.inhibition import Inhibited
 from peri.corrosion.kinetics import Kinetics
 from peri.corrosion.liquid_factors import LiquidFactors
 from peri.corrosion.nodes.problem import CorrosionProblem
 from peri.corrosion.run import HISTORY, CorrosionResult
 from peri.corrosion.scene import CorrosionScene
 from peri.coupled.bath import Bath, Exchanges
+from peri.coupled.charge_balance import ELECTRONS
 from peri.coupled.degradation import Degradation
+from peri.engine.constants import FARADAY
 from peri.engine.march.marching import TimeStepping, march
 from peri.engine.march.problem import State
 from peri.engine.march.runge_kutta import RungeKutta
@@ -101,8 +105,15 @@ def bath_of(ions: IonSettings) -> Bath | None:
 def problem_of(corrosion: CorrosionScene, ions: IonSettings) -> Degradation:
     """Metal and liquid as one problem; raises ValueError for a feedback that the law excludes."""
     medium = medium_of(ions)
-    if ions.feedback is not None:
-        law = with_feedback(corrosion.kinetics, ions.feedback, medium)
+    law = corrosion.kinetics
+    if ions.electrodes is not None:
+        law = ions.electrodes.law(float(medium.ph[0]), ions.temperature)
+    elif ions.feedback is not None:
+        law = with_feedback(law, ions.feedback, medium)
+    if ions.feedback is not None and ions.feedback.inhibitor:
+        held: dict[str, typing.Any] = ions.chemistry["inhibitor"]  # type: ignore[assignment]
+        law = Inhibited(law, held["component"], held["adsorption_constant"], held["efficiency"])
+    if law is not corrosion.kinetics:
         corrosion = dataclasses.replace(corrosion, kinetics=law)
     return Degradation(corrosion, medium, options_of(ions), bath=bath_of(ions))
 
@@ -111,6 +122,7 @@ def with_feedback(base: Kinetics, feedback: FeedbackSettings, medium: Solution) 
     """The law times what the liquid does to it; references left out are the medium's."""
     chemistry = medium.chemistry
     given = {n: v for n, v in dataclasses.asdict(feedback).items() if v is not None}
+    del given["inhibitor"]
     given.setdefault("ph_reference", float(medium.ph[0]))
     if "Cl" in chemistry.components:
         chloride = float(medium.totals[chemistry.components.index("Cl"), 0])
@@ -318,6 +330,7 @@ def ion_numbers(
         count = np.bincount(bins)
         mean = np.bincount(bins, weights=ph[liquid]) / np.maximum(count, 1)
         hydrogen = float(output["hydrogen_amount"])
+        charge = float(output.get("applied_charge", 0.0))
         rows.append(
             {
                 "time": float(time),
@@ -336,6 +349,9 @@ def ion_numbers(
                 "lowest": float(output["lowest"]),
                 "bath_ph": float(output["bath_ph"]) if "bath_ph" in output else None,
                 "hydrogen_mol": hydrogen,
+                "released_mol": hydrogen + charge / (ELECTRONS * FARADAY),
+                "applied_charge": charge,
+                "metal_potential": output.get("metal_potential"),
                 "hydrogen_ml_per_cm2": 1e6 * _MOLAR_VOLUME_OF_GAS * hydrogen / (1e4 * area),
                 "minerals": {
                     m.name: {
@@ -362,6 +378,7 @@ def ion_numbers(
         "stores": problem.stores,
         "bath": _bath_in_words(ions),
         "feedback": ions.feedback.in_words() if ions.feedback else "",
+        "electrodes": ions.electrodes.in_words() if ions.electrodes else "",
         "assumed": list(ions.assumed),
         "rows": rows,
     }

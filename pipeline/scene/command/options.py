@@ -10,6 +10,7 @@ from pipeline.scene.classes import read_classes
 from pipeline.scene.holding import ALL as HOLDS
 from pipeline.scene.image import ImageFile, add_image_options, content_of, image_from_options
 from pipeline.scene.laws.coating import read_coating
+from pipeline.scene.laws.electrodes import BALANCES, NUMBERS, read_electrodes
 from pipeline.scene.laws.feedback import read_feedback
 from pipeline.scene.laws.ions import (
     ACTIVITIES,
@@ -166,6 +167,12 @@ def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -
         "--feedback",
         metavar="F",
         help="of the liquid on the metal: ph_order=0.3,layer_thickness=1e-5 (none; assumed)",
+    )
+    ions.add_argument(
+        "--electrodes",
+        metavar="E",
+        help="anode and cathode in the place of --kinetics: "
+        f"balance={'|'.join(BALANCES)} and {', '.join(NUMBERS)} (none; assumed)",
     )
     ions.add_argument("--balance", metavar="ION", help="its amount as neutrality wants it")
     tensile = parser.add_argument_group("tensile test, where the preset is not wanted")
@@ -366,7 +373,7 @@ def _domain(options: argparse.Namespace) -> DomainSettings | None:
 
 def _ions(options: argparse.Namespace) -> IonSettings | None:
     names = ("medium", "minerals", "activity", "flux_form", "closure", "balance")
-    names = (*names, "bath_volume", "exchange_every", "open_to", "feedback")
+    names = (*names, "bath_volume", "exchange_every", "open_to", "feedback", "electrodes")
     given = {n: getattr(options, n) for n in names if getattr(options, n) is not None}
     if options.model == "bi-material":
         if given:
@@ -379,6 +386,10 @@ def _ions(options: argparse.Namespace) -> IonSettings | None:
         given["exchange_every"] = parse_time(options.exchange_every, "exchange every").seconds
     if options.feedback is not None:
         given["feedback"] = read_feedback(options.feedback)
+    if options.electrodes is not None:
+        if options.kinetics is not None:
+            raise ValueError("--electrodes takes the place of --kinetics, which must be left out")
+        given["electrodes"] = read_electrodes(options.electrodes)
     if options.open_to is not None:
         given["open_to"] = tuple(options.open_to)
     return resolve_ions(**given)

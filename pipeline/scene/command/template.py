@@ -38,6 +38,7 @@ EXAMPLES: dict[str, object] = {
     "exchange_every": "2d",
     "open_to": ["CO2"],
     "feedback": "ph_order=0.3",
+    "electrodes": "anodic=1e-3,cathodic=1e-2,potential=-2,hydrogen_potential=-0.9",
     "hardening": ["mg-5gd-soft"],
     "pulls": 2,
     "samples": 200,

@@ -10,7 +10,8 @@ _SWITCH = {"yes": True, "no": False}
 class FeedbackSettings:
     """Numbers of peri.corrosion.liquid_factors.LiquidFactors, SI; always assumed.
 
-    ph_reference, chloride_reference : None: those of the medium.
+    ph_reference, chloride_reference : None: those of the medium.  inhibitor : whether that of the
+    reaction set holds the metal back (peri.corrosion.inhibition).
     """
 
     ph_order: float = 0.0
@@ -19,6 +20,7 @@ class FeedbackSettings:
     chloride_reference: float | None = None
     layer_thickness: float | None = None
     layer_twice: bool = False
+    inhibitor: bool = False
 
     def in_words(self) -> str:
         """The factors that are not 1, for a reader."""
@@ -29,6 +31,8 @@ class FeedbackSettings:
             said.append(f"chloride to the order {self.chloride_order:g}")
         if self.layer_thickness is not None:
             said.append(f"minerals, half the rate at {1e6 * self.layer_thickness:g} um")
+        if self.inhibitor:
+            said.append("the inhibitor of the reaction set")
         return ", ".join(said)
 
 
@@ -44,9 +48,9 @@ def read_feedback(text: str) -> FeedbackSettings:
         name, equals, value = (piece.strip() for piece in part.partition("="))
         if not equals or name not in names or name in given:
             raise ValueError(wanted)
-        if name == "layer_twice":
+        if name in ("layer_twice", "inhibitor"):
             if value not in _SWITCH:
-                raise ValueError(f"feedback: layer_twice is '{value}'; it must be yes or no")
+                raise ValueError(f"feedback: {name} is '{value}'; it must be yes or no")
             given[name] = _SWITCH[value]
             continue
         try:
@@ -62,6 +66,6 @@ def read_feedback(text: str) -> FeedbackSettings:
     if not settings.in_words():
         raise ValueError(
             f"feedback is '{text}'; one of ph_order, chloride_order and layer_thickness must be "
-            "above 0"
+            "above 0, or inhibitor yes"
         )
     return settings

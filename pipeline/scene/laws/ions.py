@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import perilife_data
+from pipeline.scene.laws.electrodes import ElectrodeSettings
 from pipeline.scene.laws.feedback import FeedbackSettings
 
 MODELS = ("bi-material", "nnpp")
@@ -26,7 +27,8 @@ class IonSettings:
     bath_volume : m^3 of the bath around the liquid, None: so much that it does not change;
     exchange_every : s between exchanges of the bath for fresh medium, None: never;
     open_to : dissolved gases whose activity in the bath stays that of the fresh medium;
-    feedback : what the liquid does to the metal's rate, None: nothing.
+    feedback : what the liquid does to the metal's rate, None: nothing;
+    electrodes : anode and cathode in the place of the law of the rate, None: that law.
     assumed : names of the set's and the medium's quantities that are assumed or fitted.
     """
 
@@ -42,6 +44,7 @@ class IonSettings:
     exchange_every: float | None = None
     open_to: tuple[str, ...] = ()
     feedback: FeedbackSettings | None = None
+    electrodes: ElectrodeSettings | None = None
     assumed: tuple[str, ...] = ()
     source: dict[str, str] = field(default_factory=dict)
 
@@ -69,6 +72,39 @@ class IonSettings:
                     f"open to is '{name}'; it must be a dissolved gas, one of "
                     f"{', '.join(neutral) or 'none in this set'}"
                 )
+        self._check_electrodes()
+
+    def _check_electrodes(self) -> None:
+        """Refuse what does not go with the electrodes, and an inhibitor that the set has not."""
+        if (
+            self.feedback is not None
+            and self.feedback.inhibitor
+            and (self.chemistry.get("inhibitor") is None)
+        ):
+            raise ValueError(
+                f"feedback: inhibitor is yes, but the reaction set '{self.reactions}' has none"
+            )
+        if self.electrodes is None:
+            return
+        balance = self.electrodes.balance
+        if (
+            self.feedback is not None
+            and self.feedback.in_words() != "the inhibitor of the reaction set"
+        ):
+            raise ValueError(
+                "electrodes are a law of the rate of their own, which factors of the feedback do "
+                "not multiply; leave one of them out"
+            )
+        if balance != "local" and self.closure not in ("electroneutral", "poisson"):
+            raise ValueError(
+                f"closure is '{self.closure}' with electrodes of balance {balance}, whose current "
+                "needs a potential; it must be electroneutral or poisson"
+            )
+        if balance == "applied" and self.bath_volume is not None:
+            raise ValueError(
+                "electrodes of balance applied go without a bath of finite volume, which the "
+                "counter electrode would change"
+            )
 
     @property
     def temperature(self) -> float:
@@ -87,7 +123,7 @@ def resolve_ions(
     balance: str | None = None,
     bath_volume: float | None = None,
     exchange_every: float | None = None,
-    **options: str | tuple[str, ...] | FeedbackSettings,
+    **options: str | tuple[str, ...] | FeedbackSettings | ElectrodeSettings,
 ) -> IonSettings:
     """Read a medium and its reaction set.
 
@@ -95,7 +131,7 @@ def resolve_ions(
     default ones that the set holds; balance : a species whose amount is what neutrality wants
     (the medium's charge is otherwise made up by H); bath_volume, exchange_every : m^3 and s
     (default: those of the medium's file); options : activity, flux_form, closure, open_to,
-    feedback.
+    feedback, electrodes.
 
     Raises ValueError or FileNotFoundError with one sentence for whatever cannot be computed.
     """
@@ -125,6 +161,8 @@ def resolve_ions(
     for mineral in chemistry["minerals"].values():
         if math.isinf(mineral["rate_constant"]):
             mineral["rate_constant"] = None
+    if chemistry["inhibitor"] is None:
+        del chemistry["inhibitor"]
     used = set(minerals)
     assumed = [
         f"{reactions.name}: {n}"

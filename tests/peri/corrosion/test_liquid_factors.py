@@ -7,6 +7,7 @@ import pytest
 
 from peri.corrosion.acidity import AcidityLaw
 from peri.corrosion.electrode_kinetics import ElectrodeKinetics
+from peri.corrosion.inhibition import Inhibited
 from peri.corrosion.kinetics import ConstantRate, Exposed, VolumeLossLaw
 from peri.corrosion.liquid_factors import LiquidFactors
 from peri.engine.constants import FARADAY, GAS_CONSTANT
@@ -60,6 +61,15 @@ def test_its_own_ions_hold_the_anode_back_as_nernst_says() -> None:
     assert np.isfinite(law.rate(Exposed(ph=7.0, magnesium=np.array([0.0]))))
 
 
+def test_an_inhibitor_covers_the_metal_by_langmuirs_isotherm() -> None:
+    law = Inhibited(LiquidFactors(VolumeLossLaw(0.2), 0.5, 7.5), "Cl", 0.01, 0.8)
+    assert law.needs == {"volume_loss", "ph", "inhibitor"}
+    at = Exposed(0.0, ph=7.5, inhibitor=np.array([0.0, 100.0, 1e9]))
+    assert law.rate(at) == pytest.approx([1.0, 1.0 - 0.8 * 0.5, 0.2], rel=1e-6)
+    half = law.rate(Exposed(0.2 * math.log10(2.0), ph=7.5, inhibitor=100.0))
+    assert half == pytest.approx(0.5 * 0.6)
+
+
 @pytest.mark.parametrize(
     ("build", "says"),
     [
@@ -70,6 +80,12 @@ def test_its_own_ions_hold_the_anode_back_as_nernst_says() -> None:
         (lambda: LiquidFactors(AcidityLaw(10.0)), "looks at more than the volume loss"),
         (lambda: ElectrodeKinetics(**FREE, balance="shared"), "balance: 'shared'; it must be one"),
         (lambda: ElectrodeKinetics(**FREE, balance="applied"), "balance: 'applied' with 0 of app"),
+        (lambda: Inhibited(ConstantRate(), "Cl", 0.0), "constant: 0.0 m.3/mol; it must be"),
+        (lambda: Inhibited(ConstantRate(), "Cl", 1.0, 1.1), "efficiency: 1.1; it must be above 0"),
+        (
+            lambda: Inhibited(ElectrodeKinetics(**FREE, balance="mixed"), "Cl", 1.0),
+            "anodes and cathodes lie apart",
+        ),
         (lambda: ElectrodeKinetics(**{**FREE, "anodic": 0.0}), "anodic: 0.0; it must be finite"),
         (lambda: ElectrodeKinetics(**FREE, anodic_transfer=1.5), "anodic_transfer: 1.5"),
     ],

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from peri.corrosion.electrode_kinetics import ElectrodeKinetics
-from peri.corrosion.kinetics import ConstantRate, VolumeLossLaw
+from peri.corrosion.inhibition import Inhibited
+from peri.corrosion.kinetics import ConstantRate, Exposed, VolumeLossLaw
 from peri.corrosion.liquid_factors import LiquidFactors
 from peri.corrosion.run import corrode
 from peri.coupled.degradation import Degradation
-from peri.coupled.feedback import beside_metal
+from peri.coupled.feedback import beside_metal, components_of
 from peri.engine.march.marching import TimeStepping, march
 from tests.peri.coupled.test_degradation import medium
 from tests.peri.coupled.test_vessels import BARE, DAY, crumb
@@ -33,6 +34,47 @@ def test_what_a_node_sees_lies_between_medium_and_surface() -> None:
     assert (seen["ph"][metal] < ph.max() + 1e-12).all()
     assert (seen["magnesium"][metal] > 0).all() and (seen["layer"] == 0).all()
     assert seen["chloride"][metal] == pytest.approx(109.9, rel=0.02)
+
+
+READING = {
+    "ph": LiquidFactors(ConstantRate(), 0.5, 7.5724),
+    "chloride": LiquidFactors(ConstantRate(), chloride_order=1.0, chloride_reference=109.9),
+    "inhibitor": Inhibited(ConstantRate(), "Cl", 0.01, 0.9),
+    "inhibitor_of_factors": Inhibited(LiquidFactors(VolumeLossLaw(0.3), 0.5, 7.5724), "Cl", 0.01),
+    "local": ElectrodeKinetics(1e-3, 1e-2, -2.0, -0.9, ph_order=0.3, ph_reference=7.5724),
+}
+"""Laws that read the liquid, one of each kind; a new one gets a row here."""
+
+
+@pytest.mark.parametrize("name", READING)
+def test_the_rate_is_that_of_the_liquid_beside_the_metal(name: str) -> None:
+    law = READING[name]
+    problem, done = marched(law, steps=1)
+    state, components = done.state, components_of(problem.scene, problem.medium)
+    amounts = problem.on_nodes.at(state.fields["minerals"])
+    found = beside_metal(problem.surroundings, problem.liquid_at(state), amounts, components)
+    metal = problem.discrete.box_metal & (problem.discrete.box_neighbour_liquid > 0)
+    loss = state.numbers["volume_loss"]
+    there, read = (
+        np.broadcast_to(
+            law.rate(Exposed(loss, **{n: v[n] for n in law.needs - {"volume_loss"}})), metal.shape
+        )[metal]
+        for v in (found, {n: state.fields[f"seen_{n}"] for n in law.needs - {"volume_loss"}})
+    )
+    assert (there >= 0).all() and np.isfinite(there).all()
+    assert np.abs(there - read).max() <= 1e-7 * there.max()
+    assert 0 < loss < 0.2 and done.outputs[-1]["balance"] < 1e-9
+
+
+def test_an_inhibitor_of_the_liquid_holds_the_metal_back() -> None:
+    held = marched(READING["inhibitor"], steps=1)[1].history["volume_loss"][-1]
+    bare = marched(ConstantRate(), steps=1)[1].history["volume_loss"][-1]
+    # 109.9 mol/m3 cover 52 %, of which nine tenths of the rate are lost: 1 - 0.9 0.5236.
+    assert np.log1p(-held) / np.log1p(-bare) == pytest.approx(0.5288, rel=0.05)
+    with pytest.raises(ValueError, match="'Zn' is no component of the liquid; it must be one of H"):
+        Degradation(
+            crumb(2e-6, kinetics=Inhibited(ConstantRate(), "Zn", 1.0)), medium("nacl"), BARE
+        )
 
 
 def test_a_rising_ph_slows_the_metal_by_its_order() -> None:

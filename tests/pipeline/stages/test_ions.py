@@ -102,11 +102,16 @@ def test_a_strong_medium_is_refused_with_davies_and_allowed_as_ideal() -> None:
         medium_of(dataclasses.replace(ions, activity="fixed"))
 
 
-def test_a_closed_vessel_and_faradaic_bonds_are_refused() -> None:
-    with pytest.raises(SceneError, match="refreshed where the model is nnpp"):
-        resolve_scene(
-            ["Mg-5Gd"], ["1w"], ions=resolve_ions(), domain=DomainSettings(boundary="no_flux")
-        )
+def test_closed_vessels_with_a_bath_and_faradaic_bonds_are_refused() -> None:
+    closed = DomainSettings(boundary="no_flux")
+    for options, why in (
+        ({"bath_volume": 1e-6}, "and the medium is a bath, which is beyond it"),
+        ({"closure": "poisson"}, "with closure poisson"),
+    ):
+        with pytest.raises(SceneError, match=f"refreshed where the model is nnpp {why}"):
+            resolve_scene(["Mg-5Gd"], ["1w"], ions=resolve_ions(**options), domain=closed)
+    scene = resolve_scene(["Mg-5Gd"], ["1w"], ions=resolve_ions(), domain=closed)
+    assert scene.domain.boundary == "no_flux"
     with pytest.raises(SceneError, match="proportional where the model is nnpp"):
         resolve_scene(
             ["Mg-5Gd"], ["1w"], ions=resolve_ions(), corrosion={"dissolution": "faradaic"}

@@ -133,7 +133,7 @@ def test_the_template_has_every_option_and_the_defaults_are_those_of_a_run(
     ions = ("medium", "minerals", "activity", "flux_form", "closure", "balance")
     bath = {"model": "nnpp", "bath_volume": "10mL"}
     needs = {"bending_azimuth": {"load": "bending"}} | dict.fromkeys(ions, {"model": "nnpp"})
-    needs |= {"feedback": {"model": "nnpp"}}
+    needs |= {"feedback": {"model": "nnpp"}, "electrodes": {"model": "nnpp"}}
     needs |= {"bath_volume": {"model": "nnpp"}, "exchange_every": bath, "open_to": bath}
     for key, (value, example) in shown.items():
         name = keyword(key)
