@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import logging
+
 import numpy as np
 
 from peri.coupled.surroundings import Surroundings
 from peri.transport.chemistry.speciation import Solution
 from peri.transport.liquid import LiquidState
+
+log = logging.getLogger(__name__)
 
 
 def composition(
@@ -18,8 +22,9 @@ def composition(
 
     Returns `ph`, `potential` (V), `species` (K, ...) in mol/m3 and `minerals` (M, ...), float32,
     NaN off the computed liquid; `net_charge` (over the ionic strength), `lowest` (concentration,
-    mol/m3), `pockets`, `pocket_share`, `largest_potential` (V; its bound where it is left out) and
-    `index_<mineral>`, the highest saturation index.
+    mol/m3), `fullest` (largest share of a node's liquid that its minerals would fill), `pockets`,
+    `pocket_share`, `largest_potential` (V; its bound where it is left out) and `index_<mineral>`,
+    the highest saturation index.
     """
     liquid, space = around.liquid, around.space
     concentration = liquid.neutral_concentration(found)
@@ -30,12 +35,14 @@ def composition(
     left_out = liquid.potential_bound(found) if liquid.options.closure == "none" else 0.0
     species = [space.crop(c, e) for c, e in zip(concentration, edge, strict=True)]
     minerals = np.array([space.crop(a, 0.0) for a in amounts], np.float32)
+    fullest = _fullest(around, amounts)
     out: dict[str, np.ndarray | float] = {
         "ph": space.crop(liquid.ph(found), float(bath.ph[0])).astype(np.float32),
         "potential": space.crop(volt * found.psi, 0.0).astype(np.float32),
         "species": np.array(species, np.float32),
         "minerals": minerals.reshape(len(amounts), *space.sum.lattice_shape),
         "net_charge": float(charge.max(initial=0.0)),
+        "fullest": fullest,
         "lowest": float(concentration.min(initial=np.inf)),
         "pockets": float(around.pockets),
         "pocket_share": around.pocket_share,
@@ -45,3 +52,17 @@ def composition(
         index = mineral.ln_omega(found.ln_component) / np.log(10.0)
         out[f"index_{mineral.name}"] = float(index[mineral.region].max(initial=-np.inf))
     return out
+
+
+def _fullest(around: Surroundings, amounts: np.ndarray) -> float:
+    """Largest share of a node's liquid that its minerals fill; warned about above 1."""
+    filled = np.zeros(around.space.n)
+    for mineral, amount in zip(around.liquid.chemistry.minerals, amounts, strict=True):
+        filled += mineral.molar_volume * amount
+    fullest = float(filled.max(initial=0.0))
+    if fullest > 1.0:
+        log.warning(
+            "minerals take %.3g times the room of the liquid that they are in; they fill no pores "
+            "in this model, so ions pass where none would", fullest,
+        )  # fmt: skip
+    return fullest

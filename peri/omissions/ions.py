@@ -31,6 +31,18 @@ def ion_omissions(problem: Degradation) -> list[Omission]:
             "the release's change",
         )
     )
+    if not problem.stores:
+        content = max(abs(float(t)) for t in problem.medium.totals[:, 0])
+        found.append(
+            Omission(
+                "the liquid that fills new pores",
+                "the pore of a node that turned liquid takes what it holds from the medium at "
+                "once, which a liquid at rest has no account of",
+                content / scene.solid_concentration,
+                True,
+                "what dissolves",
+            )
+        )
     if not problem.follows_minerals:
         names = ", ".join(m.name for m in around.liquid.minerals) or "none is declared"
         found.append(

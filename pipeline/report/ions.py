@@ -1,9 +1,13 @@
 """The report's section on ions, pH and minerals, from what the corrosion stage recorded."""
 
+from pathlib import Path
+
 from markupsafe import Markup
 
+from pipeline.record.run_folder import RunFolder
 from pipeline.record.run_results import AlloyResult, RunResults
 from pipeline.report import plots
+from pipeline.report.ion_maps import IONS_FILE, ion_maps
 from pipeline.report.wording import duration, percent
 
 SHOWN = ("Mg", "H", "HCO3", "HPO4", "Ca")
@@ -43,13 +47,27 @@ def ion_section(run: RunResults) -> dict[str, object]:
             {
                 "name": alloy.name,
                 "followed": numbers["followed"],
+                "reads": any(_both(row) for row in numbers["rows"]),
+                "potential": any(r.get("metal_potential") is not None for r in numbers["rows"]),
                 "rows": [_row(row, first) for row in numbers["rows"]],
                 "plot": Markup(plots.ph_plot(alloy.name, f"{n}", numbers["rows"], numbers["ph"])),
+                "maps": Markup(ion_maps(_file(run, alloy.name), alloy.name, f"{n}")),
                 "features": _features(alloy, numbers),
             }
             for n, (alloy, numbers) in enumerate(told)
         ],
     }
+
+
+def _both(row: dict) -> str:
+    """Volume loss, and that of the law of the scene by itself, where the metal reads the liquid."""
+    if row.get("volume_loss_alone") is None:
+        return ""
+    return f"{percent(row['volume_loss'], 2)} ({percent(row['volume_loss_alone'], 2)})"
+
+
+def _file(run: RunResults, alloy: str) -> Path:
+    return RunFolder(run.folder).corrosion(alloy) / IONS_FILE
 
 
 def _row(row: dict, medium: dict) -> dict[str, object]:
@@ -62,6 +80,8 @@ def _row(row: dict, medium: dict) -> dict[str, object]:
         "potential": f"{1e3 * row['largest_potential']:.3f}",
         "hydrogen": f"{row['hydrogen_ml_per_cm2']:.2f}",
         "magnesium": f"{1e6 * row.get('released_mol', row['hydrogen_mol']):.3g}",
+        "alone": _both(row),
+        "metal": f"{row['metal_potential']:.4f}" if row.get("metal_potential") is not None else "",
         "minerals": ", ".join(
             f"{name} {1e6 * found['amount_mol']:.2g}"
             for name, found in row["minerals"].items()
@@ -71,6 +91,7 @@ def _row(row: dict, medium: dict) -> dict[str, object]:
         "balance": f"{row['balance']:.0e}",
         "charge": f"{row['net_charge']:.0e}",
         "lowest": f"{row['lowest']:.2g}",
+        "fullest": percent(row.get("fullest", 0.0)),
         "beside_metal": [
             f"{row['beside_metal'][n]:.4g}" if n in row["beside_metal"] else "–"
             for n in SHOWN

@@ -186,6 +186,11 @@ def corrode_with_ions(
         if name not in HISTORY:
             for output, time in zip(done.outputs, done.times, strict=True):
                 output[name] = float(np.interp(time, done.history["time"], values))
+    if problem.scene.kinetics is not corrosion.kinetics:
+        # What the law of the scene would do by itself, to be told beside it.
+        alone, _ = corrode_lean(corrosion, times, stepping, tolerance=tolerance, refused=refused)
+        for output, loss in zip(done.outputs, alone.volume_loss, strict=True):
+            output["volume_loss_alone"] = float(loss)
     return result, omissions, done.outputs, problem
 
 
@@ -320,7 +325,9 @@ def ion_numbers(
     names = list(chemistry.names)
     medium = {n: float(c) for n, c in zip(names, problem.medium.concentration[:, 0], strict=True)}
     rows = []
-    for time, metal, output in zip(result.times, result.metal, outputs, strict=True):
+    for time, metal, loss, output in zip(
+        result.times, result.metal, result.volume_loss, outputs, strict=True
+    ):
         scene = problem.scene
         liquid = scene.domain & ~metal & ~np.isnan(np.asarray(output["ph"]))
         distance = distance_transform_edt(~metal, sampling=scene.lattice.spacing)
@@ -347,11 +354,14 @@ def ion_numbers(
                 "balance": float(output["balance"]),
                 "net_charge": float(output["net_charge"]),
                 "lowest": float(output["lowest"]),
+                "fullest": float(output["fullest"]),
                 "bath_ph": float(output["bath_ph"]) if "bath_ph" in output else None,
                 "hydrogen_mol": hydrogen,
                 "released_mol": hydrogen + charge / (ELECTRONS * FARADAY),
                 "applied_charge": charge,
                 "metal_potential": output.get("metal_potential"),
+                "volume_loss": float(loss),
+                "volume_loss_alone": output.get("volume_loss_alone"),
                 "hydrogen_ml_per_cm2": 1e6 * _MOLAR_VOLUME_OF_GAS * hydrogen / (1e4 * area),
                 "minerals": {
                     m.name: {

@@ -72,6 +72,14 @@ class IonSettings:
                     f"open to is '{name}'; it must be a dissolved gas, one of "
                     f"{', '.join(neutral) or 'none in this set'}"
                 )
+        minerals: dict[str, dict] = self.chemistry["minerals"]  # type: ignore[assignment]
+        published = "as_published" in (self.flux_form, self.closure)
+        for name, mineral in minerals.items():
+            if published and mineral["kind"] == "equilibrium":
+                raise ValueError(
+                    f"flux form and closure as_published know no mineral in equilibrium, such as "
+                    f"{name}; --minerals without it leaves it out"
+                )
         self._check_electrodes()
 
     def _check_electrodes(self) -> None:

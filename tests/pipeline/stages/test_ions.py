@@ -13,6 +13,7 @@ from peri.corrosion.run import corrode
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.lattice import box_lattice, cylinder
 from peri.engine.march.marching import TimeStepping
+from pipeline.record.run_folder import RunFolder
 from pipeline.record.run_results import AlloyResult
 from pipeline.report.ions import ion_section
 from pipeline.scene.command.options import add_scene_options, scene_from_options
@@ -75,6 +76,8 @@ def test_assumed_values_of_minerals_that_cannot_form_are_not_listed() -> None:
         ({"balance": "CO2"}, "balance is 'CO2'; it must be an ion of the set, one of H, CO3"),
         ({"closure": "neutral"}, "closure is 'neutral'; it must be one of electroneutral"),
         ({"activity": "davies"}, "activity is 'davies'; it must be one of fixed, ideal"),
+        ({"closure": "as_published"}, "as_published know no mineral in equilibrium, such as bruc"),
+        ({"flux_form": "as_published"}, "--minerals without it leaves it out"),
         ({"medium": "seawater"}, "medium 'seawater' is unknown"),
     ],
 )
@@ -168,15 +171,22 @@ def _write(folder, ions, result, outputs, problem):
 def test_the_report_shows_ph_minerals_and_the_published_features(tmp_path) -> None:
     ions = resolve_ions(closure="none", minerals=["brucite"])
     result, _, outputs, problem = joined(ions, 1e-6)
-    numbers = ion_numbers(result, outputs, problem, ions, 2e-6)
+    corrosion = RunFolder(tmp_path).corrosion("Mg-5Gd")
+    corrosion.mkdir(parents=True)
+    _, numbers = _write(corrosion, ions, result, outputs, problem)
 
     class Run:
+        folder = tmp_path
         alloys = (AlloyResult("Mg-5Gd", {}, (), {"ions": numbers}),)
 
     section = ion_section(Run)
     (alloy,) = section["alloys"]
     assert section["ph"] == "7.572" and section["species"] == ["Mg", "H", "HCO3", "HPO4", "Ca"]
     assert len(alloy["rows"]) == 2 and "<svg" in alloy["plot"]
+    assert all(f">{n}, " in alloy["maps"] for n in ("Mg", "H", "HCO3", "HPO4"))
+    assert not alloy["reads"] and not alloy["potential"]
+    (corrosion / "ions.h5").unlink()
+    assert ion_section(Run)["alloys"][0]["maps"] == ""
     assert alloy["rows"][0]["minerals"] == "none"
     assert alloy["features"][0].startswith("pH rises towards the metal (Fig. 5.9): found, by +0.")
     assert "hydrogen ions are depleted beside the metal (Fig. 5.10): found" in alloy["features"][1]

@@ -82,6 +82,8 @@ def test_an_applied_current_is_told_beside_hydrogen_and_magnesium() -> None:
     assert numbers["electrodes"] == "the metal held at -1.55 V against the medium"
     assert first["applied_charge"] == 0.0 < last["applied_charge"]
     assert last["metal_potential"] == -1.55
+    # Held above its free potential the metal loses more than by the law of the scene.
+    assert last["volume_loss"] == result.volume_loss[-1] > 2 * last["volume_loss_alone"] > 0
     lost = result.history["metal_amount"][0] - result.history["metal_amount"][-1]
     assert last["released_mol"] == pytest.approx(lost, rel=1e-9)
     assert last["hydrogen_mol"] < 0.5 * lost and last["balance"] < 1e-9
