@@ -18,7 +18,7 @@ and not by steps of the lattice.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
@@ -30,7 +30,13 @@ from peri.engine.constants import FARADAY
 from peri.engine.march.checkpoints import fingerprint
 from peri.engine.march.problem import Course, Fields, Problem, State
 from peri.engine.march.stepping import step_towards, time_after
-from peri.transport.potential.electrostatics import Electrode, PotentialField, PotentialProblem
+from peri.transport.potential.electrostatics import (
+    Electrode,
+    NoSinkError,
+    PotentialField,
+    PotentialProblem,
+)
+from peri.transport.potential.polarization import Insulated
 
 _JUMP = 0.2
 """Change of a current in a step that still counts as a trend, relative."""
@@ -102,18 +108,32 @@ class GalvanicProblem(Problem):
                     Electrode(lead & (self._label == number), solid.law, solid.potential)
                     for number, solid in enumerate(scene.metals, 1)
                 ]
-                problem = PotentialProblem(
-                    scene.lattice, scene.stencil, ~metal, electrodes, scene.conductivity,
-                    held=scene.held,
-                )  # fmt: skip
+                try:
+                    problem = self._between(metal, electrodes)
+                except NoSinkError:
+                    if np.array_equal(metal, self._label > 0):
+                        raise
+                    # What is left of the couple no longer is one; its metals go on by themselves.
+                    problem = self._between(
+                        metal, [replace(e, law=Insulated()) for e in electrodes]
+                    )
             self._problem = mark, problem
         return self._problem[1]
+
+    def _between(self, metal: np.ndarray, electrodes: list[Electrode]) -> PotentialProblem:
+        """The potential problem of electrodes in all that is no metal."""
+        scene = self.scene
+        return PotentialProblem(
+            scene.lattice, scene.stencil, ~metal, electrodes, scene.conductivity, held=scene.held
+        )
 
     def recession(self, problem: PotentialProblem, concentration: np.ndarray) -> np.ndarray:
         """How far behind its exposed face the mass of each patch's metal begins, m."""
         share = np.where(self._grows, 1.0 - concentration / np.where(self._grows, self.solid, 1), 0)
         behind = (problem.patches.drawn > 0) @ share.ravel()
-        return behind * self.scene.lattice.cell_volume / problem.patches.area
+        _, body = self._bodies(problem)
+        area = np.bincount(body, problem.patches.area)[body]
+        return behind * self.scene.lattice.cell_volume / area
 
     def solve(self, fields: Fields, guess: np.ndarray | None) -> PotentialField:
         """Potential and currents of a state's metal; guess: phi of the time before, V."""
@@ -200,14 +220,16 @@ class GalvanicProblem(Problem):
         """Mean current of each metal in the coming step over that at its beginning.
 
         The total current goes on to change as in the step before, which makes the charge second
-        order in time; a change above _JUMP is an event and no trend.
+        order in time; a change above _JUMP, that before or the one to come, is an event and no
+        trend.
         """
         out = np.ones(len(self.scene.metals))
         for n in range(len(out)):
             now, before = (s.numbers[f"current{n}"] for s in (course.state, course.previous))
             change = now - before
-            if course.previous_step and 0 < abs(change) <= _JUMP * abs(now):
-                out[n] += 0.5 * step / course.previous_step * change / now
+            further = step / course.previous_step if course.previous_step else 0.0
+            if 0 < abs(change) * max(1.0, further) <= _JUMP * abs(now):
+                out[n] += 0.5 * further * change / now
         return out
 
     def moved(self, state: State, step: float, time: float, trend: np.ndarray) -> tuple[State, int]:
@@ -237,12 +259,22 @@ class GalvanicProblem(Problem):
         new = State(time, fields, numbers)
         return self._with_potential(new)
 
+    @staticmethod
+    def _bodies(problem: PotentialProblem) -> tuple[np.ndarray, np.ndarray]:
+        """Patches of one metal node each: the first of every node, and (n,) which node's it is."""
+        nodes = problem.patches.node
+        _, first, body = np.unique(nodes, axis=0, return_index=True, return_inverse=True)
+        return first, body.ravel()
+
     def _drawn(
         self, problem: PotentialProblem, concentration: np.ndarray, amount: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Concentrations after the patches drew amounts (mol), and what of these they got."""
         volume, patches = self.scene.lattice.cell_volume, problem.patches
-        left, unmet = drain(concentration.ravel(), patches.drawn, amount / volume)
+        first, body = self._bodies(problem)
+        wanted = np.bincount(body, amount)
+        left, short = drain(concentration.ravel(), patches.drawn[first], wanted / volume)
+        unmet = (short / np.where(wanted > 0, wanted, 1.0))[body] * amount
         if (unmet > 0).any():
             nodes = np.ravel_multi_index(tuple(patches.node.T), concentration.shape)
             for number, electrode in enumerate(problem.electrodes):

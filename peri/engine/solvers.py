@@ -90,6 +90,18 @@ class LinearSystem:
         )
         self._work = [np.zeros(self.sum.padded_shape) for _ in range(4 if self.symmetric else 8)]
 
+    def with_extra(self, extra: Extra, extra_diagonal: np.ndarray) -> None:
+        """Take another `extra` and its diagonal, with the multigrid of the one before.
+
+        The matrix is the new one; only its preconditioner is of both.
+        """
+        full = self.operator.diagonal() + extra_diagonal
+        if self.shift is not None:
+            full = full + self.shift
+        inverse = np.where(full > 0, 1.0 / np.where(full > 0, full, 1.0), 0.0)
+        self.extra = extra
+        self._inverse = inverse if self._scale is None else inverse * self._scale
+
     def apply(self, u: np.ndarray, y: np.ndarray, q: np.ndarray | None = None) -> float:
         """y = A u, for u that is zero off the unknowns; returns u . A u.
 

@@ -1,11 +1,14 @@
 """Random galvanic scenes and their bounds; `python -m tests.extreme.random_couples 1000`.
 
+After the couples a quarter as many pits (random_pits).
+
 Lattices of one to three axes, spacings and horizons of many sizes, conductivities of 1e-3 to
 10 S/m, slopes of 5 mV to 1 V, polarization resistances of 1e-6 to 1e3 ohm m2, electrodes up to 2 V
 off, blobs of metal that may be one node, touch, enclose liquid or be cut apart as they dissolve.
 """
 
 import sys
+import time
 from collections import Counter
 
 import numpy as np
@@ -16,6 +19,7 @@ from peri.coupled.galvanic import GalvanicScene, Metal, Renewal, corrode
 from peri.engine.constants import FARADAY
 from peri.engine.lattice import Lattice
 from peri.transport.potential.polarization import LinearPolarization
+from tests.extreme.random_pits import check_pit
 
 
 def random_law(rng, anodic: bool):
@@ -89,10 +93,16 @@ def check(seed: int) -> str:
 
 if __name__ == "__main__":
     outcomes = Counter()
-    for number in range(int(sys.argv[1]) if len(sys.argv) > 1 else 100):
+    count = int(sys.argv[1]) if len(sys.argv) > 1 else 100
+    started = time.process_time()
+    todo = [(n, check) for n in range(count)] + [(n, check_pit) for n in range(count // 4)]
+    for number, one in todo:
         try:
-            outcomes[check(number)] += 1
+            outcomes[one(number)] += 1
         except Exception as error:  # every kind is a finding
-            outcomes[f"{type(error).__name__}"] += 1
-            print(number, type(error).__name__, str(error)[:200], flush=True)
-    print(dict(outcomes))
+            outcomes[type(error).__name__] += 1
+            print(one.__name__, number, type(error).__name__, str(error)[:200], flush=True)
+    spent = time.process_time() - started
+    print(
+        f"{count} couples and {count // 4} pits, {spent:.0f} s of processor time: {dict(outcomes)}"
+    )

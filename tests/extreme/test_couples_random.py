@@ -1,14 +1,27 @@
-"""A few of the random couples of random_couples.py by default, more when slow tests run."""
+"""A few of the random couples and pits by default, more when slow tests run."""
 
 import pytest
 
 from tests.extreme.random_couples import check
+from tests.extreme.random_pits import check_pit
 
 
-@pytest.mark.parametrize("seed", [1, 19, 21, 54])
+@pytest.mark.parametrize("seed", [1, 19, 21, 54, 345, 369, 467, 512])
 def test_a_random_couple_keeps_its_bounds(seed):
     """Balanced pools, Faraday's law, contents that only fall; these once broke one of them."""
     assert check(seed) in ("marched", "used up")
+
+
+@pytest.mark.parametrize("seed", [4, 31, 40])
+def test_a_random_pit_keeps_its_bounds(seed):
+    """C_sat/C_solid from 1e-6 on, pits through a plate, islands; the second ends in islands."""
+    assert check_pit(seed).startswith("pit")
+
+
+@pytest.mark.slow
+def test_many_random_pits():
+    outcomes = [check_pit(seed) for seed in range(60)]
+    assert outcomes.count("pit through") > 10 and outcomes.count("pit with islands") > 3
 
 
 @pytest.mark.slow

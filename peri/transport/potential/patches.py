@@ -23,7 +23,8 @@ class Patches:
     electrode (n,): which one.  node (n, d): index of the metal node.  normal (n, d): from metal to
     liquid.  area (n,): m^2 (m in 2D, 1 in 1D).  distance (n,): z of the head of this file, m.
     shares (n, padded nodes): a, rows sum to 1.  drawn (n, nodes of the lattice): where behind the
-    patch its current comes from, rows sum to 1; a node stands behind one patch, the nearest.
+    patch its current comes from, rows sum to 1; a node stands behind one patch, the nearest, or
+    behind all that a metal node between pools of liquid has (potential.pools).
     """
 
     electrode: np.ndarray
@@ -35,8 +36,8 @@ class Patches:
     drawn: sparse.csr_matrix
 
     def only(self, kept: np.ndarray) -> Patches:
-        """Some of the patches; kept: bool."""
-        if kept.all():
+        """Some of the patches; kept: bool, or their numbers."""
+        if kept.dtype == bool and kept.all():
             return self
         values = {f.name: getattr(self, f.name)[kept] for f in fields(self)}
         return Patches(**values)

@@ -165,4 +165,4 @@ def test_a_screw_loses_more_in_a_titanium_plate(tmp_path):
     assert 0 < found["strength left, coupled"] < found["strength left, insulated"] < 1
     current = found["current of the couple at the start"]
     assert found["the same, cathode 0.1 times"] < current < found["the same, cathode 10 times"]
-    assert found["the same, plate of radius 2 mm"] < current
+    assert found["the same, hole of radius 1.6 mm"] < current

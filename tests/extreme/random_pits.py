@@ -1,0 +1,85 @@
+"""Random pits and their bounds, a part of `python -m tests.extreme.random_couples`.
+
+Sheets in one and two dimensions, with liquid on one or both sides (a pit may go through), closed or
+refreshed; bare, or passive below a critical concentration but for nuclei; grains of several rates;
+C_sat/C_solid from 1e-6 to 0.9, currents over six decades, one step or many.
+"""
+
+import numpy as np
+
+from peri.corrosion.kinetics import ConstantRate
+from peri.corrosion.metal.bond_damage import BondDamage
+from peri.corrosion.metal.solids import Solid
+from peri.corrosion.passivity import Repassivation
+from peri.corrosion.run import corrode
+from peri.corrosion.scene import CorrosionScene
+from peri.engine.lattice import Lattice
+from peri.engine.march.marching import TimeStepping
+
+SOLID = 1e5
+
+
+def random_pit(seed: int) -> tuple[CorrosionScene, float, TimeStepping]:
+    """A scene, a time in which some layers of it would go, and how to march there."""
+    rng = np.random.default_rng(seed)
+    d = int(rng.integers(1, 3))
+    shape = tuple(int(n) for n in rng.integers(12, {1: 60, 2: 24}[d], d))
+    spacing = 10.0 ** rng.uniform(-7, -4)
+    lattice = Lattice((0.0,) * d, (spacing,) * d, shape)
+    depth = np.broadcast_to(np.arange(shape[-1]), shape)
+    below = int(rng.integers(0, 5)) if rng.uniform() < 0.5 else 0  # liquid behind the sheet, too
+    metal = (depth >= below) & (depth < shape[-1] - int(rng.integers(3, 7)))
+    saturated = SOLID * 10.0 ** rng.uniform(-6, np.log10(0.9))
+    flux = 10.0 ** rng.uniform(-6, 0)
+    film = Repassivation(
+        saturated * float(rng.uniform(0.2, 0.95)), saturated, float(rng.choice([0.0, 1e-3, 0.5]))
+    )
+    solids = (
+        Solid(SOLID, kinetics=film if rng.uniform() < 0.5 else ConstantRate()),
+        Solid(SOLID, rate=10.0 ** rng.uniform(-2, 0), kinetics=ConstantRate()),
+    )
+    phase = np.where(metal, 1 + (rng.uniform(size=shape) < rng.choice([0.05, 0.5])), 0)
+    scene = CorrosionScene(
+        lattice,
+        spacing * float(rng.choice([1.0, 2.0, 3.0])),
+        np.ascontiguousarray(metal),
+        boundary=str(rng.choice(["refreshed", "no_flux"])),
+        solid_concentration=SOLID,
+        saturation_concentration=saturated,
+        liquid_diffusivity=10.0 ** rng.uniform(-11, -8),
+        dissolution_flux=flux,
+        dissolution="faradaic",
+        solids=solids,
+        phase=phase.astype(np.uint8),
+    )
+    end = float(rng.uniform(0.5, 8)) * spacing * SOLID / flux
+    return scene, end, TimeStepping(step=end / int(rng.choice([1, 7, 30])))
+
+
+def check_pit(seed: int) -> str:
+    """March one pit; what became of it. AssertionError where a bound is broken."""
+    scene, end, stepping = random_pit(seed)
+    result = corrode(scene, [0.4 * end, end], stepping)
+    history = result.history
+    assert np.abs(history["balance_error"]).max() < 1e-10, (seed, history["balance_error"])
+    assert all(np.isfinite(values).all() for values in history.values()), seed
+    most = scene.saturation_concentration
+    for concentration, metal in zip(result.concentration, result.metal, strict=True):
+        assert concentration.min() >= -1e-12 * SOLID, (seed, concentration.min())
+        liquid = concentration[scene.domain & ~metal]
+        # the solver's tolerance is relative to what the metal holds (1.2e-10 measured, seed 4)
+        above = max(1e-8 * most, 1e-9 * SOLID)
+        assert liquid.max(initial=0.0) <= most + above, (seed, liquid.max() / most)
+        assert concentration.max() <= SOLID * (1 + 1e-12), seed
+    assert not (result.metal[1] & ~result.metal[0]).any(), seed
+    assert (np.diff(history["volume_loss"]) >= -1e-9).all(), seed
+    damage = BondDamage(scene.lattice, scene.horizon, scene.metal, SOLID, most, seed)
+    share = [
+        np.where(metal, damage.corroded(c), 1.0)
+        for c, metal in zip(result.concentration, result.metal, strict=True)
+    ]
+    index = [damage.damage_index(s) for s in share]
+    assert all((i >= 0).all() and (i <= 1).all() for i in index), seed
+    through = scene.metal.any() and not result.metal[1].all(axis=-1).any()
+    islands = bool(damage.detached(share[1]).any())
+    return "pit with islands" if islands else "pit through" if through else "pit"
