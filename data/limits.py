@@ -62,6 +62,8 @@ SPECIES = {
 }
 
 SPECIES_DIFFUSIVITY = _above_zero("diffusivity", 1e-6)
+ION_SIZE = _above_zero("length", 5e-9)
+STRENGTH_COEFFICIENT = Limits("molar volume", -1e-3, 1e-3)
 LOG_K = Limits("dimensionless", -300, 300)
 MOLAR_VOLUME = _above_zero("molar volume", 1e-2)
 RATE_CONSTANT = _above_zero("surface reaction rate", 1e3)

@@ -18,7 +18,7 @@ from .load import Table, path_of, read, shipped
 from .schema import Quantity, Record
 from .units import to_si
 
-ACTIVITIES = ("davies", "fixed", "ideal")
+ACTIVITIES = ("davies", "wateq", "fixed", "ideal")
 MINERAL_KINDS = ("equilibrium", "kinetic")
 REGIONS = ("surface", "liquid")
 WATER = {"H": 2, "O": 1}
@@ -27,11 +27,17 @@ _AT = re.compile(r"at_(\d+(?:\.\d+)?)_degC")
 
 @dataclass(frozen=True)
 class DissolvedSpecies(Record):
-    """A dissolved species: charge number, atoms of each element, D (m^2/s) by temperature (K)."""
+    """A dissolved species: charge number, atoms of each element, D (m^2/s) by temperature (K).
+
+    ion_size, strength_coefficient : a0 and b of the activity law `wateq`; None: the law is
+    Davies' for this species, as in PHREEQC.
+    """
 
     charge_number: int
     composition: Mapping[str, int]
     diffusivity: Mapping[float, Quantity]
+    ion_size: Quantity | None = None
+    strength_coefficient: Quantity | None = None
 
 
 @dataclass(frozen=True)
@@ -113,6 +119,12 @@ class ReactionSet(Record):
                 n: between(s.diffusivity, f"the diffusivity of {n}", True)
                 for n, s in self.species.items()
             },
+            ion_size={n: s.ion_size.si for n, s in self.species.items() if s.ion_size},
+            strength_coefficient={
+                n: s.strength_coefficient.si
+                for n, s in self.species.items()
+                if s.strength_coefficient
+            },
             stoichiometry={n: dict(r.stoichiometry) for n, r in self.reactions.items()},
             water={n: r.water for n, r in self.reactions.items()},
             log_k={n: between(r.log_k, f"log_k of {n}", False) for n, r in self.reactions.items()},
@@ -181,6 +193,8 @@ class ReactionNumbers:
     log_k: dict[str, float]
     minerals: dict[str, MineralNumbers]
     inhibitor: InhibitorNumbers | None = None
+    ion_size: dict[str, float] = field(default_factory=dict)
+    strength_coefficient: dict[str, float] = field(default_factory=dict)
 
 
 def _between(values: Mapping[float, Quantity], temperature: float, what: str, log: bool) -> float:
@@ -256,7 +270,13 @@ def _species(table: Table) -> DissolvedSpecies:
         charge_number=table.integer("charge_number", -4, 4),
         composition=_counts(table, "composition", lowest=1),
         diffusivity=_by_temperature(table, "diffusivity", limits.SPECIES_DIFFUSIVITY),
+        ion_size=table.quantity_or_none("ion_size", limits.ION_SIZE),
+        strength_coefficient=table.quantity_or_none(
+            "strength_coefficient", limits.STRENGTH_COEFFICIENT
+        ),
     )
+    if (species.ion_size is None) != (species.strength_coefficient is None):
+        raise table.fail("ion_size", "and strength_coefficient go together; give both or neither")
     table.done()
     return species
 

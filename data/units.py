@@ -9,7 +9,7 @@ import math
 
 UNITS: dict[str, dict[str, float]] = {
     "dimensionless": {"1": 1.0, "%": 1e-2},
-    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "inch": 0.0254},
+    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "inch": 0.0254},
     "volume": {"m^3": 1.0, "L": 1e-3, "mL": 1e-6, "uL": 1e-9},
     "time": {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "w": 604800.0},
     "angle": {"rad": 1.0, "deg": math.pi / 180.0},

@@ -70,7 +70,7 @@ def medium_of(ions: IonSettings) -> Solution:
         for name, mineral in numbers["minerals"].items()  # type: ignore[attr-defined]
     }
     chemistry = Chemistry(types.SimpleNamespace(**numbers))
-    law = "ideal" if ions.activity == "ideal" else "davies"
+    law = "davies" if ions.activity == "fixed" else ions.activity
     medium = speciate(chemistry, chemistry.totals(ions.totals), law)
     strength, ph = float(medium.strength[0]), float(medium.ph[0])
     warning = check_strength(strength, ions.activity)

@@ -113,7 +113,7 @@ REFUSALS = [
     (r'components = \["H", ', "components = [", "reactions.OH.stoichiometry.H is no component"),
     ('kind = "equilibrium"', 'kind = "slow"', "must be one of equilibrium, kinetic"),
     (r"nucleation_index = [^\n]*", "", "minerals.calcite.nucleation_index is missing"),
-    ('activity = "fixed"', 'activity = "sit"', "it must be one of davies, fixed, ideal"),
+    ('activity = "fixed"', 'activity = "sit"', "it must be one of davies, wateq, fixed, ideal"),
 ]
 
 

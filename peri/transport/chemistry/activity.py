@@ -8,28 +8,32 @@ import numpy as np
 
 from peri.transport.chemistry.species import LN10, MOLAR, Chemistry
 
-ACTIVITIES = ("davies", "fixed", "ideal")
-"""davies: at the ionic strength of each node; fixed: at that of the medium; ideal: all 1."""
+ACTIVITIES = ("davies", "wateq", "fixed", "ideal")
+"""davies, wateq: at the ionic strength of each node; fixed: at that of the medium (Davies);
+ideal: all 1."""
 
 WARNING_STRENGTH, HIGHEST_STRENGTH = 0.5, 1.0
 """mol/L: Davies' equation is doubtful from the first and refused above the second."""
 
-_DEBYE_HUECKEL = ((298.15, 0.510025), (310.15, 0.521144))
+_DEBYE_HUECKEL = ((298.15, 0.510025, 0.3284906e10), (310.15, 0.521144, 0.3304488e10))
+"""K; A, (L/mol)^1/2; B, (L/mol)^1/2 / m."""
 
 
-def debye_hueckel(temperature: float) -> float:
-    """Return A of the Debye-Hueckel law, (L/mol)^1/2, at a temperature (K) of 25 to 37 degC.
+def debye_hueckel(temperature: float) -> tuple[float, float]:
+    """Return A and B of the Debye-Hueckel law, (L/mol)^1/2 and (L/mol)^1/2 / m, at 25 to 37 degC.
 
-    The two values are those of PHREEQC at 1 atm (Parkhurst and Appelo 2013); linear between.
-    Raises ValueError outside.
+    temperature : K.  The values are those of PHREEQC at 1 atm (Parkhurst and Appelo 2013); linear
+    between.  Raises ValueError outside.
     """
-    (low, a), (high, b) = _DEBYE_HUECKEL
+    (low, *cold), (high, *warm) = _DEBYE_HUECKEL
     if not low - 1e-6 <= temperature <= high + 1e-6:
         raise ValueError(
             f"temperature: {temperature - 273.15:g} degC; activity coefficients are known from "
             "25 to 37 degC (use activity 'ideal' elsewhere)"
         )
-    return a + (b - a) * (temperature - low) / (high - low)
+    share = (temperature - low) / (high - low)
+    a, b = (c + (w - c) * share for c, w in zip(cold, warm, strict=True))
+    return a, b
 
 
 def davies(charge: np.ndarray, strength: float | np.ndarray, a: float) -> np.ndarray:
@@ -50,6 +54,31 @@ def davies(charge: np.ndarray, strength: float | np.ndarray, a: float) -> np.nda
     return LN10 * np.where(z == 0, 0.1 * strength, law)
 
 
+def wateq(chemistry: Chemistry, strength: float | np.ndarray, a: float, b: float) -> np.ndarray:
+    """Return ln(gamma), shape (K,) or (K, n), by the Debye-Hueckel law of WATEQ.
+
+    log10 gamma = -A z^2 sqrt(I) / (1 + B a0 sqrt(I)) + b0 I with a0 and b0 of each species
+    (Truesdell and Jones 1974), Davies' equation for a species that declares none, as in PHREEQC.
+
+    Parameters
+    ----------
+    chemistry : Chemistry; it must declare the size of one ion at least (ValueError)
+    strength : ionic strength I, mol/L, a number or (n,)
+    a, b : A and B of debye_hueckel
+    """
+    if np.isnan(chemistry.ion_size).all():
+        raise ValueError(
+            "activity: 'wateq' needs ion_size and strength_coefficient of the species, which this "
+            "reaction set does not give; allowed: davies, fixed, ideal"
+        )
+    strength = np.asarray(strength, float)
+    shape = (-1,) + (1,) * strength.ndim
+    root, z = np.sqrt(strength), chemistry.charge.reshape(shape)
+    size, slope = chemistry.ion_size.reshape(shape), chemistry.strength_coefficient.reshape(shape)
+    law = LN10 * (-a * z**2 * root / (1.0 + b * size * root) + slope * strength)
+    return np.where(np.isnan(law), davies(chemistry.charge, strength, a), law)
+
+
 def ionic_strength(charge: np.ndarray, concentration: np.ndarray) -> np.ndarray:
     """Return I = 1/2 sum_k z_k^2 C_k in mol/L from concentrations (K, ...), mol/m3."""
     return 0.5 * np.tensordot(charge**2, concentration, 1) / MOLAR
@@ -63,7 +92,7 @@ def ln_water_activity(concentration: np.ndarray) -> np.ndarray:
 def check_strength(strength: float, activity: str) -> str:
     """Return a warning ("" for none) about the ionic strength (mol/L) of a medium.
 
-    Raises ValueError where Davies' equation does not hold at all, naming the way out.
+    Raises ValueError where Davies' equation (or WATEQ's) does not hold at all, naming the way out.
     """
     if activity == "ideal" or strength <= WARNING_STRENGTH:
         return ""

@@ -16,6 +16,7 @@ from peri.transport.chemistry.activity import (
     ionic_strength,
     ln_water_activity,
     mineral_constants,
+    wateq,
 )
 from peri.transport.chemistry.composition import ABSENT, Composer, CompositionError
 from peri.transport.chemistry.species import LN10, MOLAR, Chemistry
@@ -96,7 +97,7 @@ def speciate(
     strength: float | np.ndarray | None = None,
     minerals: tuple[str, ...] = (),
     gas: Mapping[str, float] | None = None,
-    constant: float | None = None,
+    constant: tuple[float, float] | None = None,
     start: np.ndarray | None = None,
     held: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Solution:
@@ -106,12 +107,13 @@ def speciate(
     ----------
     chemistry : Chemistry
     totals : (E,) or (E, n) mol/m3 (chemistry.totals makes neutral ones)
-    activity : "davies" (at each node's own ionic strength), "fixed" (at `strength`) or "ideal"
+    activity : "davies" or "wateq" (at each node's own ionic strength), "fixed" (Davies at
+        `strength`) or "ideal"
     strength : ionic strength for "fixed", mol/L, a number or (n,)
     minerals : names of the minerals that form wherever the liquid would be supersaturated in them
     gas : activity, mol/L, of each dissolved gas that the vessel is open to (as much of it enters or
         leaves as keeps this activity; the totals of its components follow)
-    constant : A of the Debye-Hueckel law (default: that of the temperature)
+    constant : A and B of the Debye-Hueckel law (default: those of the temperature)
     start : (E, n) ln of the free components to start from
     held : ln gamma (K, 1) and ln of the water's activity (1,) to use in the place of those of
         `activity`
@@ -133,7 +135,9 @@ def speciate(
             raise ValueError(f"mineral '{name}' is unknown; known are {', '.join(known) or 'none'}")
     target = np.array(totals, float).reshape(len(chemistry.components), -1)
     n = target.shape[1]
-    a = 0.0 if activity == "ideal" else (constant or debye_hueckel(chemistry.temperature))
+    a = b0 = 0.0
+    if activity != "ideal":
+        a, b0 = constant or debye_hueckel(chemistry.temperature)
     composer = Composer(chemistry.stoichiometry, np.ones(len(chemistry.names)))
     m = np.full(target.shape, _START) if start is None else np.array(start, float)
     ions = 0.5 * np.abs(target).sum(axis=0) / MOLAR
@@ -148,6 +152,8 @@ def speciate(
             ln_water = np.broadcast_to(held[1], (n,))
         elif activity == "ideal":
             ln_gamma = np.zeros((len(chemistry.names), n))
+        elif activity == "wateq":
+            ln_gamma = wateq(chemistry, strength_now, a, b0)
         else:
             ln_gamma = davies(chemistry.charge, strength_now, a)
         b = conditional_constants(chemistry, ln_gamma, ln_water)
@@ -163,7 +169,7 @@ def speciate(
         new_strength = ionic_strength(chemistry.charge, concentration)
         change = np.abs(new_water - ln_water).max(initial=0.0)
         ln_water = new_water
-        if activity == "davies":
+        if activity != "fixed":
             change = max(change, np.abs(new_strength - strength_now).max(initial=0.0))
             strength_now = new_strength
         if change <= _STRENGTH_TOLERANCE:

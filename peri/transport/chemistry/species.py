@@ -46,6 +46,8 @@ class Declaration(Protocol):
     water: Mapping[str, int]
     log_k: Mapping[str, float]
     minerals: Mapping[str, MineralNumbers]
+    ion_size: Mapping[str, float]
+    strength_coefficient: Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -96,6 +98,8 @@ class Chemistry:
     water : (K,) molecules of water bound by the formation of each species
     ln_k : (K,) ln of the formation constants, mol/L; 0 for components
     charge : (K,) charge numbers;  diffusivity : (K,) m2/s
+    ion_size, strength_coefficient : (K,) m and L/mol, of the activity law `wateq`; NaN where a
+        species declares none
     minerals : tuple of Mineral
 
     Raises
@@ -114,6 +118,9 @@ class Chemistry:
         self._check(d, formed)
         self.charge = np.array([d.charge_number[n] for n in self.names], float)
         self.diffusivity = np.array([d.diffusivity[n] for n in self.names], float)
+        self.ion_size = np.array([d.ion_size.get(n, math.nan) for n in self.names])
+        slopes = [d.strength_coefficient.get(n, math.nan) for n in self.names]
+        self.strength_coefficient = MOLAR * np.array(slopes)
         rows = [{n: 1} for n in self.components] + [d.stoichiometry[n] for n in formed]
         self.stoichiometry = np.array([self._row(row) for row in rows])
         self.water = np.array([0] * len(self.components) + [d.water[n] for n in formed], float)

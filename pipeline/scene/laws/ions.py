@@ -11,7 +11,7 @@ from pipeline.scene.laws.feedback import FeedbackSettings
 MODELS = ("bi-material", "nnpp")
 DEFAULT_MEDIUM = "simulated-body-fluid"
 DEFAULT_MINERALS = ("brucite", "calcite", "hydroxyapatite")
-ACTIVITIES = ("fixed", "ideal")
+ACTIVITIES = ("fixed", "wateq", "ideal")
 FLUX_FORMS = ("sqra", "sg", "mean", "as_published")
 CLOSURES = ("electroneutral", "poisson", "as_published", "none")
 """As in peri.transport, which is slow to import."""

@@ -21,7 +21,9 @@ from peri.transport.nernst_planck import TransportOptions
 WEEK = 7 * 86400.0
 
 
-def medium(name: str, minerals: tuple[str, ...] = (), **changes) -> Solution:
+def medium(
+    name: str, minerals: tuple[str, ...] = (), activity: str = "davies", **changes
+) -> Solution:
     """SBF or saline at 37 degC, the numbers of all its minerals changed."""
     numbers = perilife_data.load_reaction_set(name).at(310.15, minerals)
     changed = {n: dataclasses.replace(m, **changes) for n, m in numbers.minerals.items()}
@@ -29,7 +31,7 @@ def medium(name: str, minerals: tuple[str, ...] = (), **changes) -> Solution:
     totals = {"Na": 142.0, "Cl": 142.0}
     if name == "sbf":
         totals = {"HCO3": 34.88, "HPO4": 1.39, "Ca": 2.31, "Na": 142.0, "Cl": 109.9}
-    return speciate(chemistry, chemistry.totals(totals))
+    return speciate(chemistry, chemistry.totals(totals), activity)
 
 
 def pin(flux: float, saturation: float = 6.0, **changes) -> CorrosionScene:

@@ -12,9 +12,9 @@ from peri.transport.nernst_planck import QuasiSteadyLiquid, TransportOptions
 MAGNESIUM = {"Mg": 1.0, "OH": 2.0}
 
 
-def medium_of(chemistry: Chemistry, totals: dict[str, float]) -> Solution:
-    """The medium at its own ionic strength (Davies)."""
-    return speciate(chemistry, chemistry.totals(totals), "davies")
+def medium_of(chemistry: Chemistry, totals: dict[str, float], activity: str = "davies") -> Solution:
+    """The medium at its own ionic strength."""
+    return speciate(chemistry, chemistry.totals(totals), activity)
 
 
 def column(

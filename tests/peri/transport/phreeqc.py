@@ -13,8 +13,13 @@ def ion(name: str, charge: float) -> str:
     return name + (f"{int(charge):+d}".replace("+1", "+").replace("-1", "-") if charge else "")
 
 
-def database(chemistry: Chemistry) -> str:
+def database(chemistry: Chemistry, activity: str = "davies") -> str:
     """A PHREEQC database of exactly this chemistry; without -gamma it uses Davies' equation."""
+
+    def gamma(k: int) -> list[str]:
+        size, slope = 1e10 * chemistry.ion_size[k], chemistry.strength_coefficient[k]
+        return [f"-gamma {size:.15g} {slope:.15g}"] if activity == "wateq" and size == size else []
+
     ions = [ion(n, z) for n, z in zip(chemistry.names, chemistry.charge, strict=True)]
     lines = [
         "SOLUTION_MASTER_SPECIES",
@@ -30,6 +35,7 @@ def database(chemistry: Chemistry) -> str:
         "SOLUTION_SPECIES",
         "H+ = H+",
         "log_k 0",
+        *gamma(chemistry.components.index("H")),
         "e- = e-",
         "log_k 0",
         "H2O = H2O",
@@ -38,11 +44,11 @@ def database(chemistry: Chemistry) -> str:
     lines += ["2 H2O = O2 + 4 H+ + 4 e-", "log_k -86", "2 H+ + 2 e- = H2", "log_k -3.1"]
     for k, name in enumerate(ions):
         if k < len(chemistry.components):
-            lines += [f"{name} = {name}", "log_k 0"] if name != "H+" else []
+            lines += [f"{name} = {name}", "log_k 0", *gamma(k)] if name != "H+" else []
             continue
         row = chemistry.stoichiometry[k]
         sides = _sides(row, ions, chemistry.water[k], name)
-        lines += [sides, f"log_k {chemistry.ln_k[k] / LN10:.15g}"]
+        lines += [sides, f"log_k {chemistry.ln_k[k] / LN10:.15g}", *gamma(k)]
     lines.append("PHASES")
     for mineral in chemistry.minerals:
         formula = {
@@ -86,13 +92,13 @@ def solution(totals: dict[str, float], celsius: float, with_carbon: str = "C") -
 
 
 def punch(chemistry: Chemistry, more: str = "", values: str = "") -> str:
-    """A block that prints pH, ionic strength, DH_A, and the index of every mineral."""
+    """A block that prints pH, ionic strength, DH_A, DH_B, and the index of every mineral."""
     names = [m.name for m in chemistry.minerals]
     index = "".join(f', SI("{n}")' for n in names)
     return (
         "KNOBS\n -convergence_tolerance 1e-12\nSELECTED_OUTPUT\n -reset false\n"
-        " -high_precision true\nUSER_PUNCH\n -headings pH mu A "
+        " -high_precision true\nUSER_PUNCH\n -headings pH mu A B "
         + " ".join(names)
         + more
-        + f'\n 10 PUNCH -LA("H+"), MU, DH_A{index}{values}\n'
+        + f'\n 10 PUNCH -LA("H+"), MU, DH_A, DH_B{index}{values}\n'
     )
