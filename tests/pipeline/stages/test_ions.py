@@ -75,7 +75,7 @@ def test_assumed_values_of_minerals_that_cannot_form_are_not_listed() -> None:
         ({"minerals": ["bobierrite"]}, "log_k of bobierrite is not known at 37 degC"),
         ({"balance": "CO2"}, "balance is 'CO2'; it must be an ion of the set, one of H, CO3"),
         ({"closure": "neutral"}, "closure is 'neutral'; it must be one of electroneutral"),
-        ({"activity": "davies"}, "activity is 'davies'; it must be one of fixed, ideal"),
+        ({"activity": "davies"}, "activity is 'davies'; it must be one of fixed, wateq, ideal"),
         ({"closure": "as_published"}, "as_published know no mineral in equilibrium, such as bruc"),
         ({"flux_form": "as_published"}, "--minerals without it leaves it out"),
         ({"medium": "seawater"}, "medium 'seawater' is unknown"),
