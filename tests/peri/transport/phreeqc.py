@@ -5,7 +5,10 @@ from phreeqpython import PhreeqPython
 from peri.transport.chemistry.species import LN10, Chemistry
 
 # The element that PHREEQC books a component under, and its name for the component.
-ELEMENT = {"CO3": "C", "PO4": "P", "Mg": "Mg", "Ca": "Ca", "Na": "Na", "Cl": "Cl"}
+ELEMENT = {
+    "CO3": "C", "PO4": "P", "SO4": "S", "Tris": "Tris",
+    "Mg": "Mg", "Ca": "Ca", "Na": "Na", "K": "K", "Cl": "Cl",
+}  # fmt: skip
 
 
 def ion(name: str, charge: float) -> str:
@@ -85,7 +88,7 @@ def run(text: str, own_database: str | None = None) -> list[dict[str, float]]:
 
 def solution(totals: dict[str, float], celsius: float, with_carbon: str = "C") -> str:
     """A SOLUTION block of totals in mol/m3, pH from the charge balance."""
-    names = {"HCO3": with_carbon, "HPO4": "P"}
+    names = {"HCO3": with_carbon, "HPO4": "P", "SO4": "S"}
     lines = [f"SOLUTION 1\n temp {celsius}\n units mol/kgw\n pH 7.4 charge"]
     lines += [f" {names.get(n, n)} {v * 1e-3:.15g}" for n, v in totals.items() if v > 0]
     return "\n".join(lines) + "\n"

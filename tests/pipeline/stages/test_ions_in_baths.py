@@ -9,6 +9,7 @@ import pytest
 import perilife_data
 from peri.engine.march.marching import TimeStepping
 from peri.engine.omission import Omission
+from peri.transport.chemistry.speciation import speciate
 from pipeline.scene.command.options import add_scene_options, scene_from_options
 from pipeline.scene.laws.feedback import FeedbackSettings
 from pipeline.scene.laws.ions import resolve_ions
@@ -163,3 +164,16 @@ def test_a_feedback_slows_the_metal_of_a_run() -> None:
         )
         losses.append(result.volume_loss[-1])
     assert 0.5 * losses[0] < losses[1] < 0.98 * losses[0]
+
+
+def test_the_shipped_medium_with_tris_needs_its_name_alone() -> None:
+    ions = typed("--medium", "simulated-body-fluid-tris", "--minerals", "brucite").ions
+    medium = medium_of(ions)
+    assert medium.ph[0] == pytest.approx(7.40, abs=0.02)
+    chemistry = medium.chemistry
+    # 1 mol/m3 of Mg(OH)2 against 50.5 mol/m3 of Tris; in saline it raises the pH by 3.9.
+    raised = medium.totals[:, 0].copy()
+    raised[chemistry.components.index("Mg")] += 1.0
+    after = speciate(chemistry, chemistry.neutral(raised))
+    assert after.ph[0] - medium.ph[0] == pytest.approx(0.087, abs=0.002)
+    assert any("diffusivity" in name and "Tris" in name for name in ions.assumed)

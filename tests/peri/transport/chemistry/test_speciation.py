@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+import perilife_data
 from peri.transport.chemistry.activity import check_strength, davies, debye_hueckel, wateq
 from peri.transport.chemistry.composition import CompositionError
 from peri.transport.chemistry.speciation import speciate
@@ -41,6 +42,21 @@ def test_speciation_equals_phreeqc_with_the_same_constants(
     assert ours.strength[0] == pytest.approx(row["mu"], rel=1e-9)
     for name, index in zip(ALL, ours.saturation_index[:, 0], strict=True):
         assert index == pytest.approx(row[name], abs=1e-8)
+
+
+def test_a_medium_with_tris_has_the_ph_of_its_recipe_and_that_of_phreeqc() -> None:
+    medium = perilife_data.load_medium("simulated-body-fluid-tris")
+    chem = chemistry(medium.reactions, medium.temperature.si - 273.15, ("hydroxyapatite",))
+    totals = {n: s.total_concentration.si for n, s in medium.species.items()}
+    for activity in ("davies", "wateq"):
+        text = phreeqc.solution(totals, 36.5) + phreeqc.punch(chem)
+        row = phreeqc.run(text, phreeqc.database(chem, activity))[-1]
+        constant = (row["A"], 1e10 * row["B"])
+        ours = speciate(chem, chem.totals(totals), activity, constant=constant)
+        assert ours.ph[0] == pytest.approx(row["pH"], abs=1e-9)
+        assert ours.saturation_index[0, 0] == pytest.approx(row["hydroxyapatite"], abs=1e-8)
+        # The recipe is titrated to pH 7.40 at 36.5 degC: measured 7.399.
+        assert ours.ph[0] == pytest.approx(7.40, abs=0.02)
 
 
 def test_brucite_in_a_closed_vessel_equals_phreeqc_with_the_same_constants() -> None:
