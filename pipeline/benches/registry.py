@@ -230,6 +230,11 @@ BENCHMARKS: dict[str, Benchmark] = {
         bench_ions.saline,
         bench_ions.small_saline,
     ),
+    "nnpp-published": Benchmark(
+        "the published lattice of 20 um, 4.4e6 nodes: memory and three steps (10 minutes)",
+        bench_ions.published,
+        bench_ions.small_published,
+    ),
     "friendliness": Benchmark(
         "what a newcomer meets: times, memory, and other programs' answers (10 minutes)",
         bench_friendliness.friendliness,

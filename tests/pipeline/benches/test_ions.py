@@ -19,6 +19,15 @@ def test_the_small_benchmark_meets_what_does_not_depend_on_the_machine() -> None
 
 
 @pytest.mark.slow
+def test_the_small_published_lattice_is_neutral_and_conservative() -> None:
+    results = {r.quantity: r.value for r in BENCHMARKS["nnpp-published"].small()}
+    assert results["lowest concentration"] >= 0
+    assert results["net charge over ionic strength"] <= 1e-12
+    assert results["balance of the worst component"] <= 1e-10
+    assert 0 < results["peak memory of the process"] < 8 and results["nodes"] > 1e4
+
+
+@pytest.mark.slow
 def test_the_small_saline_benchmark_is_neutral_and_conservative() -> None:
     results = {r.quantity: r.value for r in BENCHMARKS["nnpp-saline"].small()}
     assert results["lowest concentration"] >= 0
