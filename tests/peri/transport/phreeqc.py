@@ -17,11 +17,16 @@ def ion(name: str, charge: float) -> str:
 
 
 def database(chemistry: Chemistry, activity: str = "davies") -> str:
-    """A PHREEQC database of exactly this chemistry; without -gamma it uses Davies' equation."""
+    """A PHREEQC database of exactly this chemistry; without -gamma it uses Davies' equation.
 
-    def gamma(k: int) -> list[str]:
+    The diffusivities are those of 25 degC: PHREEQC multiplies them at other temperatures.
+    """
+
+    def own(k: int) -> list[str]:
         size, slope = 1e10 * chemistry.ion_size[k], chemistry.strength_coefficient[k]
-        return [f"-gamma {size:.15g} {slope:.15g}"] if activity == "wateq" and size == size else []
+        gamma = activity == "wateq" and size == size
+        diffusing = f"-dw {chemistry.diffusivity[k]:.15g}"
+        return [f"-gamma {size:.15g} {slope:.15g}", diffusing] if gamma else [diffusing]
 
     ions = [ion(n, z) for n, z in zip(chemistry.names, chemistry.charge, strict=True)]
     lines = [
@@ -38,7 +43,7 @@ def database(chemistry: Chemistry, activity: str = "davies") -> str:
         "SOLUTION_SPECIES",
         "H+ = H+",
         "log_k 0",
-        *gamma(chemistry.components.index("H")),
+        *own(chemistry.components.index("H")),
         "e- = e-",
         "log_k 0",
         "H2O = H2O",
@@ -47,11 +52,11 @@ def database(chemistry: Chemistry, activity: str = "davies") -> str:
     lines += ["2 H2O = O2 + 4 H+ + 4 e-", "log_k -86", "2 H+ + 2 e- = H2", "log_k -3.1"]
     for k, name in enumerate(ions):
         if k < len(chemistry.components):
-            lines += [f"{name} = {name}", "log_k 0", *gamma(k)] if name != "H+" else []
+            lines += [f"{name} = {name}", "log_k 0", *own(k)] if name != "H+" else []
             continue
         row = chemistry.stoichiometry[k]
         sides = _sides(row, ions, chemistry.water[k], name)
-        lines += [sides, f"log_k {chemistry.ln_k[k] / LN10:.15g}", *gamma(k)]
+        lines += [sides, f"log_k {chemistry.ln_k[k] / LN10:.15g}", *own(k)]
     lines.append("PHASES")
     for mineral in chemistry.minerals:
         formula = {
@@ -105,3 +110,49 @@ def punch(chemistry: Chemistry, more: str = "", values: str = "") -> str:
         + more
         + f'\n 10 PUNCH -LA("H+"), MU, DH_A, DH_B{index}{values}\n'
     )
+
+
+def dissolution(
+    chemistry: Chemistry, totals: dict[str, float], flux: float, length: float, cells: int
+) -> list[dict[str, float]]:
+    """Mg(OH)2 set free at the closed end of a column of liquid that ends in the medium, 25 degC.
+
+    TRANSPORT -multi_d, 3000 s (the column comes to rest in about 300): pH, Mg (mol/m3) and CHARGE
+    (mol/m3) of every cell, from the closed end; the last centre is half a cell from the medium.
+    flux : mol/m2/s;  length : from the first cell's centre to the medium, m
+    """
+    size = length / (cells - 0.5)
+    medium = solution(totals, 25).replace("SOLUTION 1", f"SOLUTION 0-{cells + 1}")
+    text = (
+        medium
+        + f"""
+RATES
+ metal
+ -start
+ 10 SAVE {flux * 1e-3 / size:.15g} * TIME
+ -end
+KINETICS 1
+ metal
+ -formula Mg 1 O 2 H 2
+ -m0 1e6
+ -tol 1e-10
+END
+SELECTED_OUTPUT
+ -reset false
+ -high_precision true
+USER_PUNCH
+ -headings pH Mg charge
+ 10 PUNCH -LA("H+"), 1e3 * TOT("Mg"), 1e3 * CHARGE_BALANCE
+TRANSPORT
+ -cells {cells}
+ -shifts 300
+ -time_step 10
+ -flow_direction diffusion_only
+ -boundary_conditions closed constant
+ -lengths {size:.15g}
+ -multi_d true 1e-9 1.0 0.0 1.0
+ -punch_cells 1-{cells}
+ -punch_frequency 300
+"""
+    )
+    return run(text, database(chemistry))[-cells:]

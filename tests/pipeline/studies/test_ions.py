@@ -11,7 +11,9 @@ def test_joined_brucite_takes_what_sequential_splitting_loses() -> None:
     joined, short, long = ions.splitting_table((1000.0, 86400.0)).rows
     # Exact 0.8617 at spacing zero; with 80 nodes 0.864.
     assert joined.values["share"] == pytest.approx(0.8642, abs=1e-3) and joined.default
-    assert 0.05 < short.values["share"] < 0.2 and long.values["share"] < 0.01
+    # One after the other, a finite-difference model of its own: 1.6 % at 1000 s.
+    assert short.values["share"] == pytest.approx(0.016, abs=0.0015)
+    assert long.values["share"] == pytest.approx(short.values["share"] / 86.4, rel=1e-6)
     assert short.errors["share"] == short.values["share"] - joined.values["share"]
 
 
