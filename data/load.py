@@ -141,10 +141,6 @@ class Table:
         """Return a quantity of the right dimension, within its range and with a known source."""
         return self.table(key).as_quantity(allowed)
 
-    def quantity_or_none(self, key: str, allowed: Limits) -> Quantity | None:
-        """Return the quantity under a key, None where there is none."""
-        return self.quantity(key, allowed) if key in self.entries else None
-
     def as_quantity(self, allowed: Limits) -> Quantity:
         """Read this table itself as a quantity."""
         value = self._take("value")

@@ -265,14 +265,18 @@ def _optional(file: Table, key: str) -> list[tuple[str, Table]]:
     return list(file.tables(key).items()) if key in file.entries else []
 
 
+def _quantity_or_none(table: Table, key: str, allowed: Limits) -> Quantity | None:
+    return table.quantity(key, allowed) if key in table.entries else None
+
+
 def _species(table: Table) -> DissolvedSpecies:
     species = DissolvedSpecies(
         charge_number=table.integer("charge_number", -4, 4),
         composition=_counts(table, "composition", lowest=1),
         diffusivity=_by_temperature(table, "diffusivity", limits.SPECIES_DIFFUSIVITY),
-        ion_size=table.quantity_or_none("ion_size", limits.ION_SIZE),
-        strength_coefficient=table.quantity_or_none(
-            "strength_coefficient", limits.STRENGTH_COEFFICIENT
+        ion_size=_quantity_or_none(table, "ion_size", limits.ION_SIZE),
+        strength_coefficient=_quantity_or_none(
+            table, "strength_coefficient", limits.STRENGTH_COEFFICIENT
         ),
     )
     if (species.ion_size is None) != (species.strength_coefficient is None):
