@@ -57,18 +57,22 @@ def corrode(
     checkpoint: Path | None = None,
     resume: bool = False,
     checkpoint_every: float = 30.0,
+    one_level: bool = False,
 ) -> GalvanicResult:
     """March a couple to the times asked for (engine.march.marching.march).
 
     Conserved: what the currents of the dissolving metals carry is what these lose, z F mole by
     mole (history["faraday_error"], round-off; tests/peri/coupled/test_galvanic.py).
 
+    one_level : take one potential in each pool of liquid and compute no field (coupled.wagner says
+    what that changes).
+
     Raises
     ------
     ValueError
         For bad times; as PotentialProblem does (no sink for a current, a law that falls).
     """
-    problem = GalvanicProblem(scene)
+    problem = GalvanicProblem(scene, one_level=one_level)
     done = march(
         problem,
         times,

@@ -52,8 +52,10 @@ class GalvanicProblem(Problem):
     the metals.
     """
 
-    def __init__(self, scene: GalvanicScene, tolerance: float = 1e-9) -> None:
-        self.scene, self.tolerance = scene, tolerance
+    def __init__(
+        self, scene: GalvanicScene, tolerance: float = 1e-9, one_level: bool = False
+    ) -> None:
+        self.scene, self.tolerance, self.one_level = scene, tolerance, one_level
         self.solid = scene.solid_concentrations()
         self._label = scene.phases()
         self._grows = self.solid > 0
@@ -74,8 +76,8 @@ class GalvanicProblem(Problem):
         }
 
     def key(self) -> str:
-        """Hash of the scene and the solver's tolerance."""
-        return fingerprint(self.scene, self.tolerance)
+        """Hash of the scene and of how its potential is found."""
+        return fingerprint(self.scene, self.tolerance, self.one_level)
 
     # --- the potential --------------------------------------------------------------------
 
@@ -97,7 +99,7 @@ class GalvanicProblem(Problem):
                     out |= left == sizes.argmax()
         return out
 
-    def _potential_problem(self, fields: Fields) -> PotentialProblem | None:
+    def potential_problem(self, fields: Fields) -> PotentialProblem | None:
         """Of the present phases; None where no metal that has its lead touches the liquid."""
         metal, lead = self.metal(fields["concentration"]), fields["lead"]
         mark = np.packbits(metal).tobytes() + np.packbits(lead).tobytes()
@@ -137,10 +139,12 @@ class GalvanicProblem(Problem):
 
     def solve(self, fields: Fields, guess: np.ndarray | None) -> PotentialField:
         """Potential and currents of a state's metal; guess: phi of the time before, V."""
-        problem = self._potential_problem(fields)
+        problem = self.potential_problem(fields)
         if problem is None:
             raise ValueError("metals: none of them touches the liquid")
         problem.recede(self.recession(problem, fields["concentration"]))
+        if self.one_level:
+            return problem.level()
         return problem.solve(guess=guess, tolerance=self.tolerance)
 
     def _with_potential(self, state: State) -> tuple[State, int]:
@@ -158,6 +162,7 @@ class GalvanicProblem(Problem):
             "potential": found.potential,
             "density": found.density,
             "surface": found.surface,
+            "receded": self.recession(self._known_problem(), state.fields["concentration"]),
         }
         state.numbers |= {"imbalance": found.imbalance, "newton": float(found.newton)}
         for n in range(len(self.scene.metals)):
@@ -168,13 +173,15 @@ class GalvanicProblem(Problem):
         """Whether no more than one of several metals has anything left: a couple no more."""
         left = [(fields["lead"] & metal.nodes).any() for metal in self.scene.metals]
         alone = sum(left) <= 1 < len(left) and self.scene.held is None
-        return alone or self._potential_problem(fields) is None
+        return alone or self.potential_problem(fields) is None
 
     def _at_rest(self, state: State) -> State:
-        problem = self._potential_problem(state.fields)
+        problem = self.potential_problem(state.fields)
         nothing = np.zeros(0 if problem is None else len(problem.patches.area))
         phi = np.full(self.scene.lattice.shape, np.nan)
-        state.fields |= {"potential": phi, "density": nothing, "surface": nothing * np.nan}
+        state.fields |= {
+            "potential": phi, "density": nothing, "surface": nothing * np.nan, "receded": nothing,
+        }  # fmt: skip
         state.numbers |= {"imbalance": 0.0, "newton": 0.0}
         state.numbers |= {f"current{n}": 0.0 for n in range(len(self.scene.metals))}
         return state
@@ -206,7 +213,7 @@ class GalvanicProblem(Problem):
 
     def rates(self, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """What each patch dissolves, mol/s, by the couple and by itself; its recession, m/s."""
-        problem = self._potential_problem(state.fields)
+        problem = self.potential_problem(state.fields)
         if problem is None:
             return np.zeros(0), np.zeros(0), np.zeros(0)
         of, area = problem.patches.electrode, problem.patches.area
@@ -232,16 +239,39 @@ class GalvanicProblem(Problem):
                 out[n] += 0.5 * further * change / now
         return out
 
-    def moved(self, state: State, step: float, time: float, trend: np.ndarray) -> tuple[State, int]:
+    def change_bound(self, fields: Fields) -> float:
+        """Bound of the change of the currents since they were found, over their sum, first order.
+
+        A surface that has receded by d since adds d / kappa in series with its patch, which moves
+        no potential by more than the largest i d / kappa (the rows have no positive entries beside
+        their diagonal, and no current falls with its potential), so no E by more than twice that.
+        """
+        problem = self._known_problem()
+        grown = self.recession(problem, fields["concentration"]) - fields["receded"]
+        density, area = fields["density"], problem.patches.area
+        carried = float((area * np.abs(density)).sum())
+        if not carried > 0:
+            return 0.0
+        moved = 2.0 * float((np.abs(density) * grown).max()) / self.scene.conductivity
+        slope = np.zeros(len(area))
+        for number, metal in enumerate(self.scene.metals):
+            of = problem.patches.electrode == number
+            slope[of] = metal.law.slope(fields["surface"][of])
+        return moved * float((area * slope).sum()) / carried
+
+    def moved(
+        self, state: State, step: float, time: float, trend: np.ndarray, change: float = 0.0
+    ) -> tuple[State, int]:
         """The state after a step with the currents of its beginning times `trend` of the metals.
 
-        Returns the linear iterations, too.
+        change : bound of the currents' change up to which the potential is not renewed, while no
+        node goes.  Returns the linear iterations, too.
         """
         coupled, alone, _ = self.rates(state)
         concentration = state.fields["concentration"]
         numbers, moved = dict(state.numbers), concentration
         if (coupled + alone).any():
-            problem = self._potential_problem(state.fields)
+            problem = self.potential_problem(state.fields)
             assert problem is not None
             of = problem.patches.electrode
             coupled = step * coupled * trend[of]
@@ -257,7 +287,16 @@ class GalvanicProblem(Problem):
         if gone.any():
             fields["lead"] = self.still_led(state.fields["lead"] & ~gone)
         new = State(time, fields, numbers)
+        if change and not gone.any() and not self._ended(fields):
+            if self.change_bound(fields) <= change:
+                return State(time, fields, {**numbers, "newton": 0.0}), 0
         return self._with_potential(new)
+
+    def _known_problem(self) -> PotentialProblem:
+        """The potential problem of the metal that was looked at last."""
+        problem = self._problem[1]
+        assert problem is not None
+        return problem
 
     @staticmethod
     def _bodies(problem: PotentialProblem) -> tuple[np.ndarray, np.ndarray]:
@@ -310,7 +349,7 @@ class GalvanicProblem(Problem):
         """
         concentration = state.fields["concentration"]
         density, surface = np.full((2, *concentration.shape), np.nan)
-        problem = self._potential_problem(state.fields)
+        problem = self.potential_problem(state.fields)
         if problem is not None:
             nodes = tuple(problem.patches.node.T)
             density[nodes], surface[nodes] = state.fields["density"], state.fields["surface"]
@@ -333,15 +372,20 @@ class Renewal:
     """Steps with the patches' currents of their beginning; the potential is renewed after each.
 
     travel : how far the fastest patch may recede in a step, in spacings, 0 to 1.
-    longest : of a step, s, beside that.
+    longest : of a step, s, beside that.  change : bound of the currents' change, relative to their
+    sum, up to which the potential is kept after a step (GalvanicProblem.change_bound); 0 renews it
+    after every one.
     """
 
     travel: float = 0.1
     longest: float = float("inf")
+    change: float = 0.0
 
     def __post_init__(self) -> None:
         if not 0 < self.travel <= 1:
             raise ValueError(f"travel: {self.travel}; it must be above 0 and at most 1 spacing")
+        if not 0 <= self.change < 1:
+            raise ValueError(f"change: {self.change}; it must be from 0 to below 1")
         if not self.longest > 0:
             raise ValueError(f"longest: {self.longest} s; it must be positive")
 
@@ -361,5 +405,5 @@ class Renewal:
         course.step = self._step(problem, state, target)
         step = step_towards(state.time, target, course.step)
         time, trend = time_after(state.time, step, target), problem.trend(course, step)
-        new, iterations = problem.moved(state, step, time, trend)
+        new, iterations = problem.moved(state, step, time, trend, self.change)
         course.move(new, step, iterations)

@@ -10,15 +10,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from peri.coupled.galvanic import GalvanicResult, GalvanicScene, Metal, Renewal, corrode
+from peri.coupled.galvanic import GalvanicResult, GalvanicScene, Metal, Renewal
+from peri.coupled.wagner import OMITTABLE, corrode_lean, couple_omissions
 from peri.engine.lattice import Lattice
+from peri.engine.omission import DEFAULT_TOLERANCE
 from peri.engine.results import Field, axes_of
 from peri.transport.potential.polarization import Insulated, Polarization
 from perilife_data import common_reference, load_electrode
 from pipeline.scene.laws.polarization import polarization_law
 from pipeline.scene.units import format_length
 from pipeline.scenes.bodies import body_solid, nodes_of, thinnest_gap
-from pipeline.scenes.keys import Given, Key, positive
+from pipeline.scenes.keys import TEXT, Given, Key, positive
 from pipeline.scenes.lattices import LATTICE_KEYS, horizon_of, lattice_between
 from pipeline.scenes.metals import LIQUID_KEYS, METAL_KEYS, Beside, conductivity, metals_of
 from pipeline.scenes.outcome import Curve, Outcome, Panel, Prepared
@@ -41,6 +43,20 @@ KEYS: dict[str, Key] = {
         "how far the fastest surface recedes before the potential is renewed, in spacings (0.1)",
         0.1,
         at_most=1.0,
+    ),
+    "reduce.tolerance": Key(
+        "dimensionless",
+        "bound up to which something is left out (1e-3); 0: nothing",
+        1e-3,
+        at_least=0.0,
+        at_most=0.5,
+    ),
+    "reduce.keep": Key(
+        TEXT,
+        "what is computed whatever its bound",
+        ["potential", "kinetics", "renewal"],
+        allowed=OMITTABLE,
+        several=True,
     ),
     "time.longest_step": positive("time", "of a step (none)", "6h"),
 }
@@ -127,10 +143,23 @@ def prepare(given: Given) -> Prepared:
             f"{given.file}: lattice.horizon is {format_length(horizon)}, over half of the "
             f"narrowest gap of {format_length(gap)}; it must be at most {format_length(0.5 * gap)}"
         )
-    renewal = renewal_of(given)
+    renewal, lean = renewal_of(given), reductions_of(given)
     given.left_over()
-    march = functools.partial(_march, scene, renewal)
-    return Prepared(given.values, march, beside.values)
+    return Prepared(
+        given.values,
+        functools.partial(_march, scene, renewal, lean),
+        beside.values,
+        lambda end: couple_omissions(scene, renewal, *lean),
+        f"{scene.metal().size:,} nodes, {int((~scene.metal()).sum()):,} of liquid",
+    )
+
+
+def reductions_of(given: Given) -> tuple[float, list[str]]:
+    """Tolerance of what is left out, and what is not."""
+    tolerance = given.otherwise("reduce.tolerance", DEFAULT_TOLERANCE, "1", "of the currents")
+    kept = given["reduce.keep"] if "reduce.keep" in given else []
+    assert isinstance(tolerance, float) and isinstance(kept, list)
+    return tolerance, kept
 
 
 def renewal_of(given: Given) -> Renewal:
@@ -160,6 +189,7 @@ class Scaled:
 def _march(
     scene: GalvanicScene,
     renewal: Renewal,
+    lean: tuple[float, list[str]],
     times: Sequence[float],
     *,
     checkpoint: Path | None = None,
@@ -167,7 +197,10 @@ def _march(
     progress: Callable[[float, str], None] | None = None,
 ) -> Outcome:
     """March the couple; the summary is of the first metal that dissolves."""
-    result = corrode(scene, times, renewal, checkpoint=checkpoint, resume=resume, progress=progress)
+    result, omissions = corrode_lean(
+        scene, times, renewal, tolerance=lean[0], refused=lean[1], checkpoint=checkpoint,
+        resume=resume, progress=progress,
+    )  # fmt: skip
     dissolves = next((n for n, m in enumerate(scene.metals) if m.solid_concentration), 0)
     lattice = scene.lattice
     on_lattice = ("time", *axes_of(lattice))
@@ -193,6 +226,9 @@ def _march(
             "of the currents",
         ),
     }
+    for omission in omissions:
+        if omission.applied:
+            summary[f"left out: {omission.name}, bound"] = (omission.bound, f"of {omission.of}")
     for metal in scene.metals:
         if metal.solid_concentration:
             left = result.fields["concentration"][-1][metal.nodes].mean()

@@ -12,6 +12,7 @@ import numpy as np
 from peri.corrosion.acidity import AcidityLaw
 from peri.engine.lattice import Lattice
 from peri.engine.march.marching import TimeStepping, march
+from peri.engine.omission import Omission
 from peri.engine.results import Field
 from peri.omissions.thin_gap import COLUMNS, ThinGap, ThinGapProblem
 from pipeline.scene.units import format_length
@@ -126,8 +127,17 @@ def prepare(given: Given) -> Prepared:
         saturation_concentration=most,
     )
     given.left_over()
+
+    def reductions(end: float) -> list[Omission]:
+        text = "one equation along the gap: its concentration is even across it"
+        held = "a stretch at saturation has a known concentration, its current follows from it"
+        return [
+            Omission("width of the gap", text, scene.bound(end), True, "the concentration"),
+            Omission("saturated stretch", held, 0.0, True, "what is lost"),
+        ]
+
     size = f"{nodes:,} nodes along the gap"
-    return Prepared(given.values, functools.partial(_march, scene), size=size)
+    return Prepared(given.values, functools.partial(_march, scene), {}, reductions, size)
 
 
 def _march(

@@ -14,9 +14,10 @@ from peri.coupled.galvanic import (
     GalvanicResult,
     GalvanicScene,
     Renewal,
-    corrode,
     potential,
 )
+from peri.coupled.wagner import corrode_lean, couple_omissions
+from peri.engine.omission import Omission
 from peri.engine.results import Field, axes_of
 from perilife_data import Alloy, load_alloy
 from pipeline.scene.units import format_length
@@ -92,16 +93,20 @@ def prepare(given: Given) -> Prepared:
         )
     made = Joint(coupled, couples.build(given, insulated=True)[0], dissolving[0])
     pull = _pull(given, coupled.metals[dissolving[0]].name, solids, beside)
-    renewal = couples.renewal_of(given)
+    renewal, lean = couples.renewal_of(given), couples.reductions_of(given)
     sensitivities = _sensitivities(given)
     given.left_over()
-    march = functools.partial(_march, made, pull, renewal, sensitivities)
+    march = functools.partial(_march, made, pull, renewal, lean, sensitivities)
     gap = thinnest_gap(~coupled.metal(), coupled.lattice.spacing)
     size = (
         f"{coupled.metal().size:,} nodes, twice; narrowest gap {format_length(gap)}, horizon "
         f"{format_length(float(np.max(coupled.horizon)))}"
     )
-    return Prepared(given.values, march, beside.values, size=size)
+
+    def reductions(end: float) -> list[Omission]:
+        return couple_omissions(coupled, renewal, *lean)
+
+    return Prepared(given.values, march, beside.values, reductions, size)
 
 
 def _pull(given: Given, implant: str, solids: dict[str, Solid], beside) -> Pull | None:
@@ -194,6 +199,7 @@ def _march(
     made: Joint,
     pull: Pull | None,
     renewal: Renewal,
+    lean: tuple[float, list[str]],
     sensitivities: dict[str, Callable[[], GalvanicScene]],
     times: Sequence[float],
     *,
@@ -211,9 +217,11 @@ def _march(
 
         file = None if checkpoint is None else checkpoint.with_name(f"march{number}.h5")
         limited = replace(renewal, longest=min(renewal.longest, max(times) / 16))
-        results.append(
-            corrode(scene, times, limited, checkpoint=file, resume=resume, progress=so_far)
-        )
+        result, _ = corrode_lean(
+            scene, times, limited, tolerance=lean[0], refused=lean[1], checkpoint=file,
+            resume=resume, progress=so_far,
+        )  # fmt: skip
+        results.append(result)
     together, apart = results
     forces = None if pull is None else strengths(made, pull, results)
     for number in range(2):

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
+
+import numpy as np
 
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.march.marching import TimeStepping
+from peri.engine.omission import Omission
 from pipeline.scenes.grains import grain_scene
 from pipeline.scenes.keys import COUNT, TEXT, Given, Key, positive
 from pipeline.scenes.lattices import LATTICE_KEYS, check_count, horizon_of
@@ -128,7 +132,7 @@ def pit(given: Given) -> Prepared:
             scene = _film(given, spacing, ratio, current, size, charge, steel)
         march = functools.partial(march_section, scene, _stepping(given, scene), _seed(given))
     given.left_over()
-    return Prepared(given.values, march, size=_nodes(scene))
+    return Prepared(given.values, march, {}, _reductions(scene), _nodes(scene))
 
 
 def _film(given: Given, spacing, ratio, current, size, charge, steel) -> CorrosionScene:
@@ -174,7 +178,35 @@ def grains(given: Given) -> Prepared:
         raise ValueError(f"{given.file}: [grains] {error}") from None
     march = functools.partial(march_section, scene, _stepping(given, scene), _seed(given))
     given.left_over()
-    return Prepared(given.values, march, size=_nodes(scene))
+    return Prepared(given.values, march, {}, _reductions(scene), _nodes(scene))
+
+
+def _reductions(scene: CorrosionScene) -> Callable[[float], list[Omission]]:
+    """What a pit's march has no unknowns for, and whether its salt layer can matter."""
+
+    def found(end: float) -> list[Omission]:
+        flux, solid = scene.dissolution_flux, scene.solid_concentration
+        assert flux is not None
+        along = scene.lattice.axis(scene.lattice.dimension - 1)
+        thick = float(np.ptp(along)) + scene.lattice.spacing[-1]
+        depth = min(flux * end / solid, thick)
+        layer = 2.0 * float(np.max(scene.horizon))
+        most = scene.saturation_concentration
+        share = flux * (depth + layer) / (scene.liquid_diffusivity * most)
+        exact = [
+            ("metal", "a node of metal keeps what it holds until the front reaches it"),
+            ("saturated liquid", "a node under a salt layer has C_sat, which is no unknown"),
+            ("passive metal", "its current follows from the liquid that it sees"),
+        ]
+        omissions = [Omission(name, why, 0.0, True, "what is lost") for name, why in exact]
+        if share < 1:
+            text = f"C stays below {share:.2g} C_sat (flux x depth / D): no salt layer comes up"
+        else:
+            text = f"flux x depth / D is {share:.2g} C_sat: diffusion holds the metal back"
+        reason = f"{text}; the liquid is marched with the front"
+        return [*omissions, Omission("transport", reason, np.inf, False)]
+
+    return found
 
 
 def _nodes(scene: CorrosionScene) -> str:

@@ -293,6 +293,38 @@ class PotentialProblem:
                 log.info("potential: from the guess: %s", error)
         return self._newton(np.zeros(self.sum.padded_shape), tolerance)
 
+    def level(self) -> PotentialField:
+        """The currents where the liquid has one potential in each pool: no field is computed.
+
+        Raises ValueError where nodes are held.
+        """
+        if not self._floating[1:].any() or (self.held != 0).any():
+            raise ValueError("held: a liquid with held nodes has no level of its own")
+        shifts = self._balancing_shifts(np.zeros(len(self.patches.area)))
+        surface, density, slope = self._currents(shifts[self._pool_of_patch])
+        imbalance = self._imbalance(surface, density, slope)
+        u = self.unknown * shifts[self._pool]
+        phi = np.where(self.liquid, -self.sum.crop(u), np.nan)
+        return PotentialField(phi, self.patches, density, surface, imbalance, 0, 0)
+
+    def drop(self, density: np.ndarray) -> float:
+        """The range of the potential that currents (n,) A/m^2 make, V: one linear solution.
+
+        The currents must balance in every pool.
+        """
+        right = -self._spread(self.patches.area * density) / self.volume
+        shift = _HELD_LEVELS[1] * self.unknown * self._weight / self.volume
+        system = LinearSystem(
+            self.operator, shift=shift, sink=np.maximum(self._row_sums, 0.0) + shift
+        )
+        u = np.zeros(self.sum.padded_shape)
+        system.solve(u, right.copy(), 1e-6 * float(np.linalg.norm(right)))
+        pools = self._pool[self.unknown > 0]
+        high, low = (np.full(pools.max(initial=0) + 1, sign * np.inf) for sign in (-1, 1))
+        np.maximum.at(high, pools, u[self.unknown > 0])
+        np.minimum.at(low, pools, u[self.unknown > 0])
+        return float((high - low)[np.isfinite(high)].max(initial=0.0))
+
     def _newton(self, start: np.ndarray, tolerance: float) -> PotentialField:
         """`solve` from a starting value of u, 0 off the unknowns."""
         u = self.held + start

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from dataclasses import fields, is_dataclass
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from peri.corrosion.interface.faradaic import Faradaic
 from peri.engine.lattice import Lattice
+from perilife_data.references import FOLDER
 from pipeline.cli import main
 from pipeline.scenes import crevices, grains, pits, pits_2d
 from pipeline.scenes.couples import ae44_scene
@@ -191,6 +193,68 @@ def test_what_a_file_must_not_hold_is_refused(old, new, words, tmp_path, capsys)
     file.write_text(OWN.replace(old, new, 1))
     refused(capsys, ["run", str(file), "--out", str(out)], *words)
     assert not out.exists()
+
+
+def changed(name: str, *lines: tuple[str, str]) -> str:
+    """A shipped scene with other values; a key without a value is left out."""
+    text = path_of(name).read_text(encoding="utf-8")
+    for key, value in lines:
+        text, count = re.subn(
+            rf"^{key} = .*$", f"{key} = {value}" if value else "", text, flags=re.MULTILINE
+        )
+        assert count, key
+    return text
+
+
+OF_OTHER_KINDS = [
+    ("pit-lacy", ("critical_concentration", "0.99"), ["critical_concentration is 0.99", "0.98"]),
+    ("pit-lacy", ("passive_share", "1.0"), ["passive_share is 1", "below 1"]),
+    ("pit-304", ("charge_number", ""), ["metal.charge_number is missing"]),
+    ("pit-304", ("saturation_concentration", "2e5"), ["must be below metal.solid_concentration"]),
+    ("pit-304", ("opening", ""), ["geometry.opening is missing"]),
+    ("pit-pencil", ("spacing", '"1pm"'), ["'1pm'"]),
+    ("pit-pencil", ("spacing", '"1e-6um"'), ["makes 4e+08 nodes"]),
+    ("crevice-625", ("charge_number", ""), ["metal.charge_number is missing"]),
+    ("crevice-625", ("saturation_concentration", "6000"), ["known up to 5600 mol/m^3"]),
+    ("crevice-625", ("spacing", '"10mm"'), ["half of the length of 12.7 mm"]),
+    ("crevice-625", ("law", '"constant"'), ["metal.current_density is missing"]),
+    ("intergranular", ("along", '"1um"'), ["[grains]", "at least two spacings"]),
+    ("intergranular", ("seed", "-1"), ["damage.seed is -1", "at least 0"]),
+    ("galvanic-slab", ("resistance", "0"), ["above 0 ohm m^2"]),
+]
+
+
+@pytest.mark.parametrize(("name", "line", "words"), OF_OTHER_KINDS)
+def test_what_other_kinds_refuse(name, line, words, tmp_path, capsys):
+    file, out = tmp_path / "own.toml", tmp_path / "run"
+    file.write_text(changed(name, line))
+    refused(capsys, ["run", str(file), "--out", str(out)], *words)
+    assert not out.exists()
+
+
+def test_a_boundary_of_one_spacing_and_mixed_references_are_refused(tmp_path, capsys):
+    file, out = tmp_path / "own.toml", ["--out", str(tmp_path / "run")]
+    file.write_text(changed("intergranular", ("across", '"15um"\nboundary_width = "1um"')))
+    refused(capsys, ["run", str(file), *out], "boundary_width", "at least two spacings")
+    steel = (FOLDER / "electrodes" / "mild-steel.toml").read_text(encoding="utf-8")
+    steel = steel.replace('"SCE"', '"SHE"').replace('"mild-steel"', '"steel"')
+    (tmp_path / "steel.toml").write_text(steel)
+    text = changed("galvanic-ae44-steel")
+    file.write_text(text.replace('value = "mild-steel"', f'value = "{tmp_path}/steel.toml"'))
+    refused(capsys, ["run", str(file), *out], "against SHE", "against SCE", "all must be")
+
+
+def test_reductions_are_refused_by_name(tmp_path, capsys):
+    file = tmp_path / "own.toml"
+    run = ["run", str(file), "--quiet", "--out"]
+    file.write_text(OWN)
+    assert main([*run, str(tmp_path / "one")]) == 0
+    assert "left out: renewal, bound" in capsys.readouterr().out
+    file.write_text(OWN + '[reduce]\nkeep = ["renewal"]\n')
+    assert main([*run, str(tmp_path / "two")]) == 0
+    assert "left out" not in capsys.readouterr().out
+    file.write_text(OWN + '[reduce]\nkeep = ["renewl"]\n')
+    refused(capsys, [*run, str(tmp_path / "three")], "did you mean renewal?")
 
 
 def test_what_belongs_to_another_command_is_refused(tmp_path, capsys):
