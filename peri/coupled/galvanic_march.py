@@ -138,14 +138,24 @@ class GalvanicProblem(Problem):
         return behind * self.scene.lattice.cell_volume / area
 
     def solve(self, fields: Fields, guess: np.ndarray | None) -> PotentialField:
-        """Potential and currents of a state's metal; guess: phi of the time before, V."""
+        """Potential and currents of a state's metal; guess: phi of the time before, V.
+
+        Raises ValueError where no metal touches the liquid, and where a metal's potential lies
+        outside the points of its measured curve.
+        """
         problem = self.potential_problem(fields)
         if problem is None:
             raise ValueError("metals: none of them touches the liquid")
         problem.recede(self.recession(problem, fields["concentration"]))
         if self.one_level:
-            return problem.level()
-        return problem.solve(guess=guess, tolerance=self.tolerance)
+            found = problem.level()
+        else:
+            found = problem.solve(guess=guess, tolerance=self.tolerance)
+        for number, electrode in enumerate(problem.electrodes):
+            check = getattr(electrode.law, "check_range", None)
+            if check is not None:
+                check(found.surface[found.patches.electrode == number])
+        return found
 
     def _with_potential(self, state: State) -> tuple[State, int]:
         """A state with the potential of its metal, and the linear iterations that took."""

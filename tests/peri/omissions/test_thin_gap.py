@@ -9,6 +9,7 @@ from scipy.integrate import quad
 from peri.corrosion.acidity import AcidityLaw
 from peri.engine.constants import FARADAY
 from peri.engine.march.marching import TimeStepping, march
+from peri.engine.solvers import ConvergenceError
 from peri.omissions.thin_gap import ThinGap, ThinGapProblem
 
 HOUR = 3600.0
@@ -158,3 +159,36 @@ def test_bound():
 def test_refusals(change, message):
     with pytest.raises(ValueError, match=message):
         replace(crevice(), **change)
+
+
+def test_a_step_beyond_the_branch_limit_is_refused_and_shortened():
+    """Within 142 s at 5 um the amount multiplies (tau < h / (C_solid d(i/zFC_solid)/dC))."""
+    scene = crevice(nodes=127)
+    problem = ThinGapProblem(scene)
+    state = problem.initial()
+    old = {name: state.fields[name] for name in problem.evolved}
+    problem.stage(old, 20.0, state)
+    with pytest.raises(ConvergenceError, match="several solutions"):
+        problem.stage(old, 2e4, state)
+    asked = corrode(scene, (6,), TimeStepping(step=6 * HOUR))
+    fine = corrode(scene, (6,))
+    assert asked.history["time"].size > 10
+    assert asked.history["lost"][-1] == pytest.approx(fine.history["lost"][-1], rel=0.05)
+
+
+def test_the_bound_holds_across_the_gap():
+    """Unevenness across a gap of one active wall, i h / (2 z F D) by the parabola of a steady flux.
+
+    The bound has twice that, relative to C_sat.
+    """
+    scene = crevice(nodes=127)
+    gap, most = float(scene.gap.max()), scene.saturation_concentration
+    y = np.linspace(0.0, gap, 401)
+    flux = float(scene.law.current(np.array([most]))[0]) / (scene.charge_number * FARADAY)
+    # D C'' = flux / h (what is carried away along the gap), C' = 0 opposite, -D C' = flux here
+    c = np.zeros_like(y)
+    slope = flux / (scene.diffusivity * gap) * y
+    c[1:] = np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(y))
+    uneven = float(np.ptp(c)) / most
+    assert 0 < uneven <= scene.bound(1e9)
+    assert uneven == pytest.approx(0.5 * scene.bound(1e9), rel=1e-3)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from peri.corrosion.polarization import TafelCurve
+from peri.corrosion.polarization import TabulatedCurve, TafelCurve
 from peri.coupled.galvanic import GalvanicScene, Metal, Renewal, corrode, potential
 from peri.engine.lattice import Lattice
 from peri.transport.potential.electrostatics import NoSinkError
@@ -71,3 +71,12 @@ def test_what_is_left_of_a_couple_goes_on_by_itself():
     done = corrode(scene, [1e12], Renewal(1.0))
     assert not done.fields["concentration"][-1].any()
     assert done.history["current_m0"][-1] == 0.0
+
+
+def test_a_measured_curve_is_not_used_beyond_its_points():
+    curve = TabulatedCurve((-1.2, -1.1, -1.0), (0.0, 1.0, 5.0))
+    inside = bar(30, [(slice(0, 4), curve), (slice(20, 24), LinearPolarization(-0.9, 0.1))])
+    assert potential(inside).current(0) > 0
+    outside = bar(30, [(slice(0, 4), curve), (slice(20, 24), LinearPolarization(3.0, 0.01))])
+    with pytest.raises(ValueError, match="outside the polarization curve.* from -1.2 to -1.0 V"):
+        potential(outside)
