@@ -356,7 +356,11 @@ class Scene:
             " and the medium is a bath, which is beyond it": ions.bath_volume is not None,
             f" with closure {ions.closure}": ions.closure in ("poisson", "as_published"),
         }
-        return [("boundary", boundary, "refreshed", why) for why, true in wants.items() if true]
+        found = [("boundary", boundary, "refreshed", why) for why, true in wants.items() if true]
+        if boundary == "no_flux":  # a C_sat would stop the metal long before its ions are full
+            why = " and the vessel is closed, where the minerals take what dissolves"
+            found.append(("saturation", self.corrosion.saturation, "none", why))
+        return found
 
     @property
     def mesh(self) -> MeshSettings:

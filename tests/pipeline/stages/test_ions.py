@@ -113,7 +113,11 @@ def test_closed_vessels_with_a_bath_and_faradaic_bonds_are_refused() -> None:
     ):
         with pytest.raises(SceneError, match=f"refreshed where the model is nnpp {why}"):
             resolve_scene(["Mg-5Gd"], ["1w"], ions=resolve_ions(**options), domain=closed)
-    scene = resolve_scene(["Mg-5Gd"], ["1w"], ions=resolve_ions(), domain=closed)
+    with pytest.raises(SceneError, match="saturation is 'complementarity'; it must be none where"):
+        resolve_scene(["Mg-5Gd"], ["1w"], ions=resolve_ions(), domain=closed)
+    scene = resolve_scene(
+        ["Mg-5Gd"], ["1w"], ions=resolve_ions(), domain=closed, corrosion={"saturation": "none"}
+    )
     assert scene.domain.boundary == "no_flux"
     with pytest.raises(SceneError, match="proportional where the model is nnpp"):
         resolve_scene(
