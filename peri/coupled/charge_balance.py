@@ -111,7 +111,7 @@ class ChargeBalance:
             bonds = bonds * theta
         liquid = np.where(discrete.box_metal, 0.0, values)
         drawn = values * discrete.box(bonds) - discrete.box(bonds * liquid)
-        return discrete.base_diffusivity * discrete.box_metal_volume * drawn
+        return discrete.base_diffusivity * discrete.box_metal_volume * around.switch * drawn
 
     @property
     def rest(self) -> float:
@@ -166,6 +166,18 @@ class ChargeBalance:
                 grown = brentq(excess, 0.0, free / before)
         metal, _ = surface.potential(grown)
         return metal, metal - grown * phi
+
+    def give(self, around: Surroundings, fields: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Give the liquid the charge of a state's fields; returns it as `charge` does."""
+        surface, chemistry = around.discrete.surface, around.liquid.chemistry
+        charge = self.charge(
+            around, fields["concentration"], fields.get("theta"),
+            {n: np.asarray(surface[n]) for n in _READ},
+        )  # fmt: skip
+        # A missing cathode is OH- that is not set free.
+        hydroxide = chemistry.stoichiometry[chemistry.index("OH")]
+        around.liquid.beside = np.multiply.outer(-hydroxide, charge)
+        return charge
 
     def charge(
         self,

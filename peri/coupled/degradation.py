@@ -21,6 +21,7 @@ from scipy.ndimage import binary_erosion
 
 from peri.corrosion.kinetics import Exposed
 from peri.corrosion.nodes.problem import COLUMNS, CorrosionProblem
+from peri.corrosion.nodes.stage import Stage as MetalStage
 from peri.corrosion.scene import CorrosionScene
 from peri.coupled.bath import Bath, BathLiquid
 from peri.coupled.booking import element_error
@@ -96,7 +97,7 @@ class Degradation(CorrosionProblem):
         super().__init__(scene, solver_tolerance, given=given)
         reads = scene.needs & given if self.discrete.box is not None else ()
         self._reads = tuple(sorted(reads))
-        self.of_the_box = (*self.of_the_box, *(f"seen_{name}" for name in self._reads))
+        self.of_the_box = (*self.of_the_box, "switch", *(f"seen_{name}" for name in self._reads))
         self._components = components_of(scene, medium)
         self.discrete.surface |= medium_beside(medium, self._components)
         if self.charge_balance is not None:
@@ -218,22 +219,16 @@ class Degradation(CorrosionProblem):
         """Give the liquid the charge that anodes and cathodes set free apart, mol/m3/s, (n,)."""
         if self.charge_balance is None:
             return None
-        around, chemistry = self.surroundings, self.medium.chemistry
-        seen = {n: self.discrete.surface[n] for n in ("ph", "magnesium", "potential")}
-        charge = self.charge_balance.charge(
-            around, fields["concentration"], fields.get("theta"), seen
-        )
-        # A missing cathode is OH- that is not set free.
-        hydroxide = chemistry.stoichiometry[chemistry.index("OH")]
-        around.liquid.beside = np.multiply.outer(-hydroxide, charge)
-        return charge
+        return self.charge_balance.give(self.surroundings, fields)
 
     def _source(self, state: State) -> np.ndarray:
         """What the liquid takes up per node, mol/m3/s: from the interface, and of the rest."""
-        source = self.surroundings.source(
-            state.fields["concentration"], state.fields.get("theta"), state.numbers["volume_loss"]
+        fields, around = state.fields, self.surroundings
+        around.switch = fields.get("switch", 1.0)
+        source = around.source(
+            fields["concentration"], fields.get("theta"), state.numbers["volume_loss"]
         )
-        rest = state.fields.get("rest")
+        rest = fields.get("rest")
         return source if rest is None else source + self.on_nodes.at(rest) / REST_TIME
 
     # --- states ---------------------------------------------------------------------------
@@ -385,6 +380,9 @@ class Degradation(CorrosionProblem):
         stage = super().stage(old, tau, guess)
         if not self.follows_minerals:
             return stage
+        assert isinstance(stage.extra, MetalStage)
+        if stage.extra.switch is not None and self.scene.saturation != "complementarity":
+            stage.fields["switch"] = stage.extra.switch
         around, nodes = self.surroundings, self.on_nodes
         rest = nodes.put(old["rest"], nodes.at(old["rest"]) / (1.0 + tau / REST_TIME))
         stage.fields["rest"] = rest

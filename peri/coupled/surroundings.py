@@ -36,6 +36,8 @@ class Surroundings:
     options : TransportOptions
     stores : whether the liquid has a content (StoredLiquid) or is at rest (QuasiSteadyLiquid)
 
+    switch : padded box array, which metal nodes exchange with the liquid (1, or 0 for those that
+        would take solute back); 1 for all.
     pockets : number of liquid nodes that no bonds join to the refreshed layer; they have no steady
         state and take no part at rest (their release is `pocket_share` of the whole).
 
@@ -86,6 +88,7 @@ class Surroundings:
         else:
             self.liquid = QuasiSteadyLiquid(space, medium, MAGNESIUM, near, options)
         self.pocket_share = 0.0
+        self.switch: np.ndarray | float = 1.0
 
     def source(
         self, concentration: np.ndarray, theta: np.ndarray | None, volume_loss: float
@@ -127,7 +130,7 @@ class Surroundings:
     ) -> np.ndarray:
         discrete = self.discrete
         values = discrete.take(concentration)
-        volume = discrete.box_metal_volume * local
+        volume = discrete.box_metal_volume * self.switch * local
         inflow = rate * (discrete.box(volume * values) - values * discrete.box(volume))
         if theta is not None:
             inflow = inflow * theta

@@ -71,6 +71,10 @@ class Exchange:
         """Saturation "as_published": no exchange for metal nodes that see saturated liquid."""
         raise NotImplementedError
 
+    def switch(self) -> np.ndarray | None:
+        """Which metal nodes exchange with the liquid (0: held back), where the law knows."""
+        return None
+
     def hold_back(self, metal: np.ndarray) -> bool:
         """No exchange for metal nodes that would take solute back; whether there are new ones.
 

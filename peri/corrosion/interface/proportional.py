@@ -78,6 +78,10 @@ class ProportionalExchange(Exchange):
         self.on = saturation.published_switch(neighbours, p.box_metal).astype(float)
         self.seen_metal = p.box(p.box_metal_volume * self.on)
 
+    def switch(self) -> np.ndarray:
+        """See Exchange.switch."""
+        return self.on
+
     def hold_back(self, metal: np.ndarray) -> bool:
         """See Exchange.hold_back."""
         back = (self.on > 0) & (metal > self.old_metal * (1 + 1e-13))

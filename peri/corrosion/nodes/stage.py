@@ -43,6 +43,8 @@ class Stage:
     """Metal nodes that are empty (laws that empty them); what they hold is their liquid's."""
     late: float = 0.0
     """Share of the interface flux whose time is an estimate (Exchange.late)."""
+    switch: np.ndarray | None = None
+    """Which metal nodes exchange with the liquid, padded box array (0: held back)."""
 
 
 @dataclass
@@ -124,8 +126,9 @@ class StageSolver:
         release += d.balance.close(result, old, tau * release, held.active) / tau
         emptied = None if exchange.emptied is None else d.put(exchange.emptied) > 0
         return Stage(
-            result, held.theta, volume_loss, release, iterations, rounds, emptied, exchange.late()
-        )
+            result, held.theta, volume_loss, release, iterations, rounds, emptied, exchange.late(),
+            exchange.switch(),
+        )  # fmt: skip
 
     # --- kinetics -------------------------------------------------------------------------
 
