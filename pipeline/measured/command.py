@@ -59,8 +59,21 @@ def compare_image(options: argparse.Namespace, say: Callable[[str], None]) -> No
         f"in boxes of {1e6 * found.width:.0f} um the losses differ by "
         f"{100 * found.disagreement():.2g} % of the box (root mean square)"
     )
+    say(_lie_in_words(found.shift(), found.spacing))
     for name in (TABLE_FILE, FIELD_FILE):
         say(str(folder / name))
+
+
+def _lie_in_words(shift, spacing) -> str:
+    """Whether scan and run lie on each other, as far as the lattice can tell."""
+    if (abs(shift) <= 0.25 * spacing).all():
+        far = 1e6 * float(max(abs(shift)))
+        return f"the scan lies where the computed metal does, to {far:.0f} um (not moved)"
+    along = ", ".join(f"{name} {1e6 * by:+.0f} um" for name, by in zip("xyz", shift, strict=True))
+    return (
+        f"the scan would fit the computed metal best if it were moved along {along}; it was not, "
+        "so that the table holds this shift, unless the metal is lost on one side"
+    )
 
 
 def _print_table(rows: list[tuple[str, float, float, float]], label: str) -> None:

@@ -77,6 +77,23 @@ class LossByPlace:
                 rows.append((name, metal * self.cell, *lost))
         return rows
 
+    def shift(self) -> np.ndarray:
+        """By how much (3,) m the scan would have to be moved to fit the computed metal best.
+
+        The peak of the correlation of both, between the nodes by parabolas: good to a sixth of the
+        lattice's spacing.  Turning is not looked at.
+        """
+        shape = np.multiply(2, self.measured.shape)  # so that nothing comes round the other side
+        product = np.fft.rfftn(self.computed, shape) * np.fft.rfftn(self.measured, shape).conj()
+        fit = np.fft.irfftn(product, shape)
+        peak = np.array(np.unravel_index(fit.argmax(), fit.shape))
+        moved = np.where(peak < shape // 2, peak, peak - shape).astype(float)
+        for axis, step in enumerate(np.eye(3, dtype=int)):
+            low, mid, high = (fit[tuple((peak + n * step) % shape)] for n in (-1, 0, 1))
+            bend = 2.0 * mid - low - high
+            moved[axis] += 0.5 * (high - low) / bend if bend > 0.0 else 0.0
+        return moved * self.spacing
+
     def disagreement(self) -> float:
         """Root mean square of `difference` where the intact solid is, weighted by its metal."""
         weight = self.in_boxes(self.before)

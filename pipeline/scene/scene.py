@@ -299,7 +299,9 @@ class Scene:
     def __post_init__(self) -> None:
         check(bool(self.alloys), "list of alloys", "empty", "at least one alloy")
         names = [alloy.name for alloy in self.alloys]
-        check(len(set(names)) == len(names), "list of alloys", names, "without repetition")
+        check(
+            len(set(names)) == len(names), "list of alloys", " ".join(names), "without repetition"
+        )
         check(bool(self.immersion), "list of immersion times", "empty", "at least one time")
         seconds = [time.seconds for time in self.immersion]
         check(
@@ -440,6 +442,11 @@ def scene_from_json(content: dict) -> Scene:
     if not isinstance(content, dict):
         raise SceneError("scene file does not hold a JSON object, which it must")
     version = content.get("schema_version")
+    if version is None:
+        raise SceneError(
+            "scene file is no scene.json of a run, which says its schema_version; a scene by hand "
+            "must be a TOML file (perilife init)"
+        )
     check(version == SCHEMA_VERSION, "schema version of the scene", version, f"{SCHEMA_VERSION}")
     return _build(Scene, content, "scene")
 

@@ -135,7 +135,9 @@ def read_content(path: Path) -> dict:
         raise FileNotFoundError(f"scene file is '{path}'; there is no such file") from None
     except json.JSONDecodeError as error:
         raise ValueError(f"'{path}' is not JSON: {error}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+    except UnicodeDecodeError:
+        raise ValueError(f"scene file '{path}' is no text in UTF-8, which it must be") from None
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         said = str(error) or "it is nested too deeply"
         raise ValueError(f"scene file '{path}' is not valid TOML: {said}") from None
     return content if isinstance(content, dict) else {}

@@ -9,6 +9,7 @@ from pipeline.cli import main
 from pipeline.geometry.scans import level_surface
 from pipeline.geometry.surface import Solid
 from pipeline.geometry.voxel_mask import VoxelMask, voxel_fraction
+from pipeline.measured.command import _lie_in_words
 from pipeline.measured.loss import loss_by_place
 from tests.pipeline.command_line import refused
 from tests.pipeline.geometry.scans import ball, write_mha
@@ -73,6 +74,16 @@ def test_a_result_that_is_wrong_is_shown_where_it_is() -> None:
     difference = found.difference()
     assert difference[13, 13, 13] < 0.01 and difference.max() > 0.3
     assert found.depth[np.unravel_index(difference.argmax(), SHAPE)] < 200e-6
+
+
+@pytest.mark.parametrize("moved", [0.0, 20e-6, 50e-6, -70e-6])
+def test_a_scan_that_was_moved_is_noticed(moved) -> None:
+    """Both balls have lost metal, not equally much; the lattice has 60 um."""
+    computed, scan = result(ball_mask(LEFT)), ball_mask(LEFT + 40e-6, moved)
+    shift = loss_by_place(intact(), scan, computed, 1, 200e-6, "scan").shift()
+    assert shift == pytest.approx([-moved, 0.0, 0.0], abs=SPACING / 6)
+    words = _lie_in_words(shift, np.full(3, SPACING))
+    assert ("if it were moved" in words) == (abs(moved) > 15e-6)
 
 
 def test_a_scan_beside_the_solid_is_refused() -> None:
