@@ -71,15 +71,21 @@ class Plan:
 class Cost:
     """Measured on two cores at 2.6 GHz: what a plan multiplies its counts with.
 
-    corrosion: seconds and bytes per node and march; tensile: seconds per unknown and increment, and
-    bytes per unknown of one process; ions: seconds per node and solution of the liquid, bytes per
-    node and field, solutions of a march that follows minerals; mesh: seconds per cell; disk: bytes
-    per node and time.
+    corrosion: seconds and bytes per node and march; tensile: seconds per unknown and increment of
+    ten-node and of four-node cells, and bytes per unknown of one process; parting: how many times
+    that where the metal parts between the grips, with smaller increments and more iterations;
+    picture: seconds of one in the report; report: of the rest of it; ions: seconds per node and
+    solution of the liquid, bytes per node and field, solutions of a march that follows minerals;
+    mesh: seconds per cell; disk: bytes per node and time.
     """
 
     corrosion_seconds_per_node: float = 1.1e-4
     corrosion_bytes_per_node: float = 600.0
-    tensile_seconds_per_unknown: float = 2.5e-5
+    tensile_seconds_per_unknown: float = 1.65e-5
+    four_node_seconds_per_unknown: float = 2.0e-5
+    parting: float = 2.7
+    picture_seconds: float = 0.4
+    report_seconds: float = 8.0
     tensile_bytes_per_unknown: float = 1.0e4
     ion_seconds_per_node: float = 5.0e-5
     ion_bytes_per_field: float = 100.0
@@ -92,6 +98,12 @@ class Cost:
 
 
 COST = Cost()
+
+PARTING = ("slot", "faces")
+"""Ways of holding in which the metal parts before the end of the test."""
+
+_VIEWS, _MOST_TIMES = 3, 6
+"""Pictures of a state in the report, and times that it shows (pipeline.report.picture_set)."""
 
 
 def make_plan(
@@ -160,17 +172,33 @@ def make_plan(
     for hold, (_, each, _) in zip(scene.holds, counts, strict=True):
         test = hold.tensile
         increments = 4 + test.final_strain / test.increment  # the first are smaller
+        if ELEMENTS[test.element].order == 1:
+            each_costs = COST.four_node_seconds_per_unknown
+        else:
+            each_costs = COST.tensile_seconds_per_unknown
+            each_costs *= COST.parting if hold.name in PARTING else 1.0
         tasks.append(
             Task(
                 "pull",
                 f"{pulls} {LOADS[test.load].test}s ({hold.name}), {at_once} at a time",
                 f"{each:,} unknowns each ({test.element})",
-                COST.tensile_seconds_per_unknown * each * increments * -(-pulls // at_once),
+                each_costs * each * increments * pulls / at_once,
                 at_once * (ranks * BASE_MEMORY + COST.tensile_bytes_per_unknown * each),
                 COST.disk_bytes_per_unknown * each * pulls,
                 at_once,
             )
         )
+    pictures = _VIEWS * len(scene.alloys) * min(len(times), _MOST_TIMES)
+    tasks.append(
+        Task(
+            "report",
+            "page",
+            f"{pictures} pictures",
+            COST.report_seconds + COST.picture_seconds * pictures / machine.processor_cores(),
+            2.0 * BASE_MEMORY,
+            3e6,
+        )
+    )
     return Plan(
         tasks=tuple(tasks),
         omissions=tuple(
@@ -229,8 +257,8 @@ def print_plan(plan: Plan) -> None:
     console.print(table)
     console.print(
         f"nodes {plan.nodes:,}, unknowns {plan.unknowns:,}, about "
-        f"{format_seconds(plan.seconds)}, memory {format_bytes(plan.memory)}, "
-        f"disk {format_bytes(plan.disk)}"
+        f"{format_seconds(plan.seconds)} (the first run half a minute more, to compile), "
+        f"memory {format_bytes(plan.memory)}, disk {format_bytes(plan.disk)}"
     )
 
 
