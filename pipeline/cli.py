@@ -44,6 +44,8 @@ def build_parser() -> argparse.ArgumentParser:
     parser = OneSentenceParser(
         prog="perilife",
         description="Residual strength of biodegradable magnesium implants after immersion.",
+        epilog="to begin: perilife run --alloy Mg-5Gd --immersion 8w --out runs/first (a minute), "
+        "then open runs/first/report.html; perilife COMMAND --help tells the rest",
     )
     parser.add_argument("--version", action="store_true", help="print the version and end")
     parser.add_argument("--verbose", action="store_true", help="log what the libraries do")
