@@ -14,6 +14,7 @@ from pipeline.stages.strength import (
     CHECKPOINT_FILE,
     RESULT_FILE,
     TensileJob,
+    first_increment,
     forget_others,
     read_result,
     run_job,
@@ -142,3 +143,10 @@ def test_what_another_job_left_is_removed_and_what_this_one_left_is_kept(job, tm
     )
     forget_others(other)
     assert not any(path.exists() for path in left)
+
+
+def test_pulled_end_faces_begin_with_small_increments():
+    held = TensileScene(bottom_grip=7e-4, top_grip=3e-4, increment=0.02)
+    assert first_increment(held) == 0.002
+    assert first_increment(replace(held, top_grip=0.0)) == 0.0002
+    assert first_increment(replace(held, increment=0.001)) == 0.001
