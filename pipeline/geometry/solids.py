@@ -119,10 +119,11 @@ def screw_solid(screw: ScrewParameters) -> Solid:
 def solid_from_file(path: str | Path, unit: str = "mm") -> Solid:
     """The one closed solid of a STEP, BREP or STL file.
 
-    unit: of the numbers in a BREP or STL file (m, cm, mm, um, inch). A STEP file carries its own
-    unit and is converted; any other ``unit`` than mm is refused for it. Raises FileNotFoundError,
-    or ValueError for another suffix, an unknown unit, a file that cannot be read, and surfaces
-    that are empty, open, not manifold, inverted, of several bodies, or that cross themselves.
+    unit: of the numbers in a BREP or STL file (m, cm, mm, um, nm, inch). A STEP file carries its
+    own unit and is converted; any other ``unit`` than mm is refused for it. Raises
+    FileNotFoundError, or ValueError for another suffix, an unknown unit, a file that cannot be
+    read, and surfaces that are empty, open, not manifold, inverted, of several bodies, or that
+    cross themselves.
     """
     path = Path(path)
     scale = metres(1.0, unit, "solid")

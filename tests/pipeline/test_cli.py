@@ -45,7 +45,7 @@ from tests.pipeline.command_line import COARSE, PIN, SCENE, changed, refused, sc
         (changed(*COARSE), ["300 um", "at most 250 um", "--spacing 250um, or --spacing auto"]),
         (changed(*COARSE, "--slot-depth", "20um"), ["--spacing 10um --horizon 80um"]),
         (changed("--spacing", "100"), ["spacing '100'", "100um"]),
-        (changed("--spacing", "100furlong"), ["100furlong", "m, cm, mm, um, inch"]),
+        (changed("--spacing", "100furlong"), ["100furlong", "m, cm, mm, um, nm, inch"]),
         (changed("--horizon", "50um"), ["horizon is 50 um", "1 to 8"]),
         (changed("--radial-margin", "100um"), ["radial margin is 100 um", "300 um"]),
         (changed("--step", "0s"), ["step is 0.0", "above 0"]),
@@ -181,7 +181,7 @@ def test_a_missing_file_or_a_wrong_unit_of_a_solid_is_refused(tmp_path, capsys):
     refused(capsys, [*base, "--solid", "absent.stl"], "absent.stl", "no such file")
     (tmp_path / "part.stl").write_text(_solid(_tetrahedron()))
     part = ["--solid", str(tmp_path / "part.stl")]
-    refused(capsys, [*base, *part, "--unit", "furlong"], "furlong", "m, cm, mm, um, inch")
+    refused(capsys, [*base, *part, "--unit", "furlong"], "furlong", "m, cm, mm, um, nm, inch")
     refused(capsys, [*base, *part, "--pitch", "0.3mm"], "--pitch", "--solid")
     assert not (tmp_path / "run").exists()
 

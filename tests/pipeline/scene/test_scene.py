@@ -99,7 +99,7 @@ def test_unsorted_and_repeated_times_are_refused():
 
 def test_lengths_need_a_known_unit():
     assert metres(2.0, "mm") == 2.0e-3
-    with pytest.raises(ValueError, match="unit 'furlong'.*m, cm, mm, um, inch"):
+    with pytest.raises(ValueError, match="unit 'furlong'.*m, cm, mm, um, nm, inch"):
         metres(1.0, "furlong", "the solid")
 
 
