@@ -27,7 +27,7 @@ from peri.engine.constants import FARADAY, GAS_CONSTANT
 from peri.engine.solvers import ConvergenceError
 from peri.transport.chemistry.activity import conditional_constants, mineral_constants
 from peri.transport.chemistry.composition import Composer, CompositionError
-from peri.transport.chemistry.minerals import MineralField, settle
+from peri.transport.chemistry.minerals import MineralField, SunkSystem, settle
 from peri.transport.chemistry.speciation import Solution
 from peri.transport.chemistry.species import LN10, MOLAR
 from peri.transport.fluxes import FLUX_FORMS, LARGEST_SQRA_STEP, largest_bond_step
@@ -42,6 +42,10 @@ PUBLISHED_CONDUCTIVITY = 6.1e6
 """S/m, Tables 3.7 and 5.4 of the dissertation; that of a metal, kept for `as_published`."""
 
 _MAXIMUM_SWEEPS = 60
+_LOOSE_BEGINNING = 1e-6
+"""Of the release: to which minerals are brought in balance before the first sweep."""
+_MINERALS_BEHIND = 1e-2
+"""Of the ions' residual in a sweep: to which they are in it; a sweep leaves about as much of it."""
 _MAXIMUM_HALVINGS = 8
 _TOO_LITTLE = "the liquid holds too little salt for this release"
 _RESOLVED = 1e-11
@@ -150,6 +154,7 @@ class QuasiSteadyLiquid:
             )
             for i, mineral in enumerate(chemistry.minerals)
         ]
+        self.sunk: dict[int, SunkSystem] = {}
         self.migration = Migration(self.options.flux_form, space, chemistry)
         if self.needs_a_way_out:
             self.plain = space.system()
@@ -265,9 +270,11 @@ class QuasiSteadyLiquid:
         for mineral, active in zip(self.minerals, state.active, strict=True):
             if not mineral.in_equilibrium:
                 active[:] = False  # what is there is open in any case
-        self._begin(state, before, there, step, absolute)
+        self.sunk.clear()
+        within = absolute if options.closure == "none" else max(absolute, _LOOSE_BEGINNING * scale)
+        self._begin(state, before, there, step, within)
         if options.closure != "none":
-            self._close(state, there, step, absolute)
+            self._close(state, there, step, absolute, within)
         return state
 
     def _begin(
@@ -299,9 +306,17 @@ class QuasiSteadyLiquid:
             settle(self, state, there, step, absolute)
 
     def _close(
-        self, state: LiquidState, there: np.ndarray | None, step: float, absolute: float
+        self,
+        state: LiquidState,
+        there: np.ndarray | None,
+        step: float,
+        absolute: float,
+        within: float,
     ) -> None:
-        """Sweep: potential from the net charge at each node, then the ions' migration in it."""
+        """Sweep: potential from the net charge at each node, then the ions' migration in it.
+
+        within : residual norm to which the minerals are in balance; it follows that of the ions
+        """
         space, chemistry = self.space, self.chemistry
         z2 = chemistry.charge**2
         # The printed flux moves ions twice as far, so half the potential does.
@@ -340,7 +355,7 @@ class QuasiSteadyLiquid:
             settled = self.options.closure != "electroneutral" or (
                 excess_now <= self.options.neutrality
             )
-            if residual <= absolute and settled:
+            if residual <= absolute and within <= absolute and settled:
                 break
             if sweep == _MAXIMUM_SWEEPS or not np.isfinite(residual):
                 raise ConvergenceError(
@@ -349,6 +364,7 @@ class QuasiSteadyLiquid:
                     f"{residual:.2g}, {absolute:.2g} wanted); {_TOO_LITTLE}"
                 )
             tight = max(0.1 * absolute, 1e-4 * residual)
+            within = max(absolute, _MINERALS_BEHIND * residual)
             before = state.migrated.copy()
             # In a uniform liquid a change of psi moves X_e by as much.
             moved = state.psi - old_psi
@@ -358,7 +374,7 @@ class QuasiSteadyLiquid:
                 )
                 state.iterations += used
             try:
-                self._grow_between(state, before, there, step, absolute)
+                self._grow_between(state, before, there, step, within)
             except CompositionError as error:
                 raise CompositionError(f"potential: {error}; {_TOO_LITTLE}") from error
         largest = float(np.abs(chemistry.charge).max()) * largest_bond_step(

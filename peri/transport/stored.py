@@ -122,6 +122,7 @@ class StoredLiquid(QuasiSteadyLiquid):
         """
         self._check_current()
         self._shift(step)
+        self.sunk.clear()
         space, options = self.space, self.options
         there = np.zeros((len(self.minerals), space.n)) if amounts is None else amounts
         state = start.copy()

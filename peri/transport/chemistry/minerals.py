@@ -29,6 +29,8 @@ _MAXIMUM_SWEEPS = 60
 _MAXIMUM_ROUNDS = 100
 _ROUND_OFF = 10.0
 """Where Newton's steps stop to help, a residual of this many times the tolerance will do."""
+_SAME_SINK = 1e-3
+"""Of a sink: a change below it keeps the system of the last Newton step."""
 _SATURATED = 1e-9
 """ln(Omega) at which a node counts as saturated."""
 
@@ -60,8 +62,15 @@ class MineralField:
         return self.nu @ m + self.constant
 
 
+SunkSystem = tuple[np.ndarray, DiffusionSystem]
+"""A sink (n,), 1/m2, and the system with it."""
+
+
 class ReactingLiquid(Protocol):
-    """What a mineral sees of the liquid that it forms in."""
+    """What a mineral sees of the liquid that it forms in.
+
+    sunk : by the number of a kinetic mineral, the system of its last Newton step in this solution
+    """
 
     space: LiquidSpace
     composer: Composer
@@ -69,6 +78,7 @@ class ReactingLiquid(Protocol):
     minerals: Sequence[MineralField]
     plain: DiffusionSystem
     relative: float
+    sunk: dict[int, SunkSystem]
 
     def target(self, state: LiquidState, nodes: np.ndarray | None = None) -> np.ndarray: ...
 
@@ -252,7 +262,7 @@ def _kinetic(
             state.concentration[:, moving], mineral.nu
         )
         step, used = space.solve(
-            space.system(sink=sink), residual, np.zeros(space.n),
+            _sunk(liquid, number, sink), residual, np.zeros(space.n),
             max(1e-3 * norm, 0.1 * absolute),
         )  # fmt: skip
         iterations += used
@@ -289,3 +299,17 @@ def _kinetic(
         f"{mineral.name}: residual {norm:.2g} after {_MAXIMUM_ROUNDS} Newton steps, "
         f"{absolute:.2g} wanted"
     )
+
+
+def _sunk(liquid: ReactingLiquid, number: int, sink: np.ndarray) -> DiffusionSystem:
+    """The system of Newton's step: the last one as long as its sink is nearly this one.
+
+    What is off only slows Newton's method down, by as much; a new one costs several iterations.
+    """
+    if number in liquid.sunk:
+        before, system = liquid.sunk[number]
+        if np.linalg.norm(sink - before) <= _SAME_SINK * np.linalg.norm(sink):
+            return system
+    system = liquid.space.system(sink=sink)
+    liquid.sunk[number] = sink, system
+    return system
