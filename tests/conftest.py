@@ -1,6 +1,8 @@
 """Environment of the tests: one thread per MPI rank, no screen, ranks allowed anywhere."""
 
 import os
+import shutil
+import tempfile
 
 # Set before NumPy, PETSc or VTK is imported by a test module.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -12,3 +14,15 @@ os.environ.setdefault("PYVISTA_OFF_SCREEN", "true")
 os.environ.setdefault("OMPI_ALLOW_RUN_AS_ROOT", "1")
 os.environ.setdefault("OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "1")
 os.environ.setdefault("OMPI_MCA_rmaps_base_oversubscribe", "1")
+
+
+def pytest_configure(config) -> None:
+    """One folder for the surfaces of all tests, whichever process computes them first."""
+    if not hasattr(config, "workerinput") and "PERILIFE_SURFACES" not in os.environ:
+        os.environ["PERILIFE_SURFACES"] = config.surfaces = tempfile.mkdtemp(prefix="perilife-")
+
+
+def pytest_unconfigure(config) -> None:
+    """Surfaces of a session do not outlive it."""
+    if hasattr(config, "surfaces"):
+        shutil.rmtree(config.surfaces, ignore_errors=True)

@@ -187,7 +187,7 @@ def published_screw(alloy: str, m: int, spacing: float = 50e-6):
     from pipeline.stages.corrosion import corrosion_scene, metal_of
     from pipeline.stages.geometry import build_solid
 
-    scene = resolve_scene([alloy], ["0w", "8w"], "standard")
+    scene = resolve_scene([alloy], ["0w", "8w"], "standard", corrosion={"classes": 0})
     lattice_settings = replace(scene.lattice, spacing=spacing, horizon=m * spacing)
     # The ball is laid out below; margins of its radius say that it has room for the horizon.
     room = DomainSettings("ball", BALL_RADIUS, BALL_RADIUS)

@@ -172,7 +172,7 @@ def calibrate(
             omission = liquid_omission(found.scene, alloy, implant, end)
             clean = omission.applied
         if not clean:
-            executor = executor or stack.enter_context(marching_executor(workers))
+            executor = executor or stack.enter_context(marching_executor(workers, implant.folder))
             model = MarchModel(scene, alloy, names, executor)
             found = _fitted(model, scene, alloy, measurements, parameters, 1)
     return Calibrated(

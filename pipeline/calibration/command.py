@@ -7,6 +7,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from contextlib import ExitStack
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from pipeline.scene.laws.ions import MODELS
 
@@ -76,12 +77,13 @@ def run_calibrate(options: argparse.Namespace, say: Callable[[str], None]) -> No
     out = Path(options.out)
     if out.exists() and any(out.iterdir()):
         raise ValueError(f"folder '{out}' is not empty; choose another with --out")
-    implant = Implant(scene)
     base = begun_from(scene, options.parameters)
     weeks = np.array([1, 2, 4, 8, 12, 16, 24]) * 7 * 86400.0
     fits = {}
     with ExitStack() as stack:
-        executor = _Late(lambda: stack.enter_context(marching_executor()))
+        place = Path(stack.enter_context(TemporaryDirectory(prefix="perilife-surface-")))
+        implant = Implant(scene, folder=place)
+        executor = _Late(lambda: stack.enter_context(marching_executor(surfaces=place)))
         for name, (data, _) in measured.items():
             found = calibrate(
                 scene, alloy, data, free=options.free, fix=fix, implant=implant, executor=executor

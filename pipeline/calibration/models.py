@@ -103,7 +103,7 @@ class Implant:
     """
 
     def __init__(self, scene: Scene, solid: Solid | None = None, folder: Path | None = None):
-        self.solid = solid or build_solid(scene)
+        self.solid, self.folder = solid or build_solid(scene), folder
         self.domain = liquid_domain(scene, self.solid.points)
         self.lattice, self.inside = domain_lattice(scene, self.domain)
         self.metal, self.fraction = metal_of(scene, self.lattice, self.solid)
@@ -216,6 +216,9 @@ def _pairs(count: int) -> list[Array]:
 _IMPLANTS: dict[str, Implant] = {}
 """Of this worker process, by the hash of what they depend on: constants change, the solid not."""
 
+_SURFACES: list[Path] = []
+"""Of this worker process: the folder where the surface's part of an implant is kept."""
+
 
 def march(content: dict, alloy: str, times: list[float]) -> list[float]:
     """V_L of a scene (its JSON) at times (s): the work of one process of a fit."""
@@ -224,7 +227,7 @@ def march(content: dict, alloy: str, times: list[float]) -> list[float]:
     classes = (settings.classes, settings.kernel_exponent, settings.influence)
     key = repr((content["geometry"], content["lattice"], content["domain"], classes))
     if key not in _IMPLANTS:
-        _IMPLANTS[key] = Implant(scene)
+        _IMPLANTS[key] = Implant(scene, folder=_SURFACES[-1] if _SURFACES else None)
     stepping = TimeStepping(settings.scheme, settings.step, _MARCH_CONTROL)
     positive = [time for time in times if time > 0]
     if not positive:
@@ -237,17 +240,20 @@ def march(content: dict, alloy: str, times: list[float]) -> list[float]:
 
 
 @contextmanager
-def marching_executor(workers: int | None = None):
+def marching_executor(workers: int | None = None, surfaces: Path | None = None):
     """Processes that march side by side, one thread each.
 
-    `spawn`, because threads of Numba and OpenMP do not survive a fork.
+    surfaces: folder of an implant, from which they read its surface's part.  `spawn`, because
+    threads of Numba and OpenMP do not survive a fork.
     """
     workers = workers or processor_cores()
     wanted = child_environment(1, 1)
     kept = dict(os.environ)
     os.environ.update(wanted)
     try:
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as executor:
+        with ProcessPoolExecutor(
+            workers, get_context("spawn"), _SURFACES.append, (surfaces,)
+        ) as executor:
             yield executor
     finally:
         os.environ.clear()

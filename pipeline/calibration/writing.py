@@ -24,6 +24,7 @@ from pipeline.calibration.posterior import band
 from pipeline.record.run_folder import write_json
 from pipeline.scene.resolve import OWN_PARAMETERS
 from pipeline.scene.scene import Scene, ScrewGeometry
+from pipeline.scene.units import format_length
 
 JSON_FILE = "calibration.json"
 _DAY = 86400.0
@@ -38,8 +39,11 @@ def lines_of(found: Calibrated) -> list[str]:
     model = "marches"
     if found.clean is not None:
         model = f"clean liquid (bound {100 * found.clean:.2g} % of the volume loss)"
+    rates = found.scene.corrosion.classes
+    lattice = format_length(found.scene.lattice.spacing)
     lines = [
-        f"{found.alloy}: {len(result.residuals)} measurements, scatter {how}; {model}",
+        f"{found.alloy}: {len(result.residuals)} measurements, scatter {how}; {model}, on a "
+        f"lattice of {lattice} with {f'{rates} rate classes' if rates else 'one rate per node'}",
         f"loss {result.loss:.4g} with {len(result.logs)} constants; {result.reached} of "
         f"{result.starts} searches ended there, {result.evaluations} evaluations, "
         f"{found.seconds:.1f} s",

@@ -248,13 +248,6 @@ def in_short(run: RunResults, assumed: int) -> str:
     error = "the discretisation error is not measured yet"
     if given:
         error = str(given)
-    elif own := own_errors(run):
-        most = max(own.values())
-        error = f"discretisation error of the volume loss about {percent(most, 1)} by its own check"
-        error += ", which does not look at the liquid" * bool(_with_liquid(run))
-        tensile = tensile_error(run.scene, run.scene.holds[0])
-        if tensile is not None:
-            error += f", of the strength left of the shank up to {percent(tensile.error, 1)}"
     elif known is not None:
         most = max(known.of(alloy.name) for alloy in run.scene.alloys)
         error = f"discretisation error of the volume loss up to {percent(most, 1)}"
@@ -262,6 +255,13 @@ def in_short(run: RunResults, assumed: int) -> str:
         if tensile is None:
             error += ", of the strength not measured for these settings"
         else:
+            error += f", of the strength left of the shank up to {percent(tensile.error, 1)}"
+    elif own := own_errors(run):
+        most = max(own.values())
+        error = f"discretisation error of the volume loss about {percent(most, 1)} by its own check"
+        error += ", which does not look at the liquid" * bool(_with_liquid(run))
+        tensile = tensile_error(run.scene, run.scene.holds[0])
+        if tensile is not None:
             error += f", of the strength left of the shank up to {percent(tensile.error, 1)}"
     values = "value is" if assumed == 1 else "values are"
     seconds = sum(record.seconds for _, record in run.records)
@@ -282,7 +282,7 @@ def twice_as_sure(run: RunResults) -> str:
         return "The run times needed for an estimate are not in this run."
     corrode, pull = (format_seconds(value) for value in (corrosion, pulls))
     known = corrosion_error(run.scene)
-    if known is None:
+    if known is None or not run.scene.corrosion.classes:
         lattice = (
             "Half the lattice spacing means 8 times the nodes and, at the same horizon, 8 times "
             f"the bonds of each node: corrosion {corrode} → {format_seconds(8 * corrosion)} to "

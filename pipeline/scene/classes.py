@@ -26,7 +26,7 @@ def one_rate_because(scene: Scene) -> str:
     """Why the nodes of a scene have one rate each; "" for a scene with rate classes."""
     if scene.corrosion.classes:
         return ""
-    return _obstacle(scene) or "as asked for: --classes auto takes rate classes"
+    return _obstacle(scene) or "as --classes 0 asks, or --ranks, whose march knows no classes"
 
 
 def with_classes(scene: Scene) -> Scene:
@@ -38,6 +38,8 @@ def with_classes(scene: Scene) -> Scene:
 
 
 def _obstacle(scene: Scene) -> str:
+    if all(time.seconds == 0 for time in scene.immersion):
+        return "only time zero is asked for"
     if isinstance(scene.geometry, ImageFile):
         return "the metal is known by its voxels, not by a surface"
     try:

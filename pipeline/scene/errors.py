@@ -7,18 +7,20 @@ from pipeline.scene.scene import HoldScene, Scene, ScrewGeometry
 def corrosion_error(scene: Scene) -> CorrosionError | None:
     """What was measured of the preset's lattice and time steps, if the scene uses just these.
 
-    Only the reference screw was measured.
+    Only the reference screw was measured, with the rate classes of the preset and, apart, with one
+    rate per node.
     """
     preset = RESOLUTIONS.get(scene.resolution)
     if preset is None or not (
         scene.geometry == ScrewGeometry()
         and _alike(scene.lattice, preset, spacing="spacing", horizon="horizon")
-        and _alike(scene.corrosion, preset, rate_change="rate_change", classes="classes")
+        and _alike(scene.corrosion, preset, rate_change="rate_change")
+        and scene.corrosion.classes in (0, preset.classes)
         and _default(scene.corrosion, "scheme", "step", "saturation", "dissolution")
         and _default(scene.corrosion, "kinetics", "calibration", "influence", "coating")
     ):
         return None
-    return preset.corrosion_error
+    return preset.corrosion_error if scene.corrosion.classes else preset.node_error
 
 
 def tensile_error(scene: Scene, hold: HoldScene) -> TensileError | None:

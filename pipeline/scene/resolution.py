@@ -63,9 +63,10 @@ class Resolution:
 
     spacing: lattice spacing; horizon: thickness of the corroded layer, a material length
     that stays the same in all presets; rate_change: what controls the time step
-    (engine.march.marching); classes: rate classes with which its error was measured, 0 for one rate
-    per node; mesh_size, mesh_size_fine: edge length in the bulk, and at thread and slot; increment:
-    largest nominal strain step of the tensile test.
+    (engine.march.marching); classes: rate classes with which its error was measured; node_error:
+    with one rate per node on the same lattice, None where that was not measured; mesh_size,
+    mesh_size_fine: edge length in the bulk, and at thread and slot; increment: largest nominal
+    strain step of the tensile test.
     """
 
     spacing: float
@@ -77,6 +78,7 @@ class Resolution:
     element: str
     increment: float
     corrosion_error: CorrosionError
+    node_error: CorrosionError | None
     tensile_error: TensileError
 
 
@@ -104,19 +106,23 @@ def _read(path: Path, study: str, preset: Callable[[dict, str], dict]) -> dict[s
 def _corrosion(table: dict, name: str) -> dict:
     entry = table[name]
     measured = entry["measured"]
+    time = {alloy: numbers["time_error"] for alloy, numbers in measured.items()}
+    cost = (entry["half_error_cost"], entry["half_error_measured"], table["command"])
+
+    def error(lattice: dict[str, float]) -> CorrosionError:
+        most = max(time[alloy] + lattice[alloy] for alloy in time)
+        return CorrosionError(most, time, lattice, *cost)
+
+    by_nodes = entry.get("lattice_error_by_nodes")
     return {
         "spacing": entry["horizon"] / entry["horizon_ratio"],
         "horizon": entry["horizon"],
         "rate_change": entry["rate_change"],
-        "classes": entry.get("classes", 0),
-        "corrosion_error": CorrosionError(
-            entry["error"],
-            {alloy: numbers["time_error"] for alloy, numbers in measured.items()},
-            {alloy: numbers["lattice_error"] for alloy, numbers in measured.items()},
-            entry["half_error_cost"],
-            entry["half_error_measured"],
-            table["command"],
+        "classes": entry["classes"],
+        "corrosion_error": error(
+            {alloy: numbers["lattice_error"] for alloy, numbers in measured.items()}
         ),
+        "node_error": None if by_nodes is None else error(by_nodes),
     }
 
 

@@ -69,9 +69,9 @@ def resolve_scene(
     alloy's own file, else those of DEFAULT_PARAMETER_SET, if it has any; lengths in m where the
     preset is not to be used; hold: ways of holding (pipeline.scene.holding), the shank where
     none is given; corrosion, tensile: fields of CorrosionSettings and TensileScene that differ
-    from their defaults, the latter for all ways of holding ("auto" classes: scene.classes);
-    measured_volume_loss: CSV file per alloy, plotted beside the result; ions: the medium
-    (pipeline.scene.laws.ions) where the model is nnpp.
+    from their defaults, the latter for all ways of holding (rate classes are "auto" unless given,
+    scene.classes); measured_volume_loss: CSV file per alloy, plotted beside the result; ions: the
+    medium (pipeline.scene.laws.ions) where the model is nnpp.
 
     Raises ValueError or FileNotFoundError with one sentence for whatever cannot be computed.
     """
@@ -82,7 +82,7 @@ def resolve_scene(
     known = [fit for fit in fits if fit is not None]
     corrosion = dict(corrosion or {})
     exponents = {float(fit.parameters.kernel_exponent) for fit in known}
-    classes = corrosion.pop("classes", 0)
+    classes = corrosion.pop("classes", AUTO)
     corrosion["classes"] = 0 if classes == AUTO else classes
     corrosion.setdefault("rate_change", preset.rate_change)
     corrosion.setdefault("kernel_exponent", exponents.pop() if len(exponents) == 1 else 0.0)
@@ -121,8 +121,10 @@ def _holds(
 ) -> tuple[HoldScene, ...]:
     """The ways of holding: those named, or the one with the depths that `tensile` gives.
 
-    Where an end face is pulled the cells there are at most half a lattice spacing wide: wider ones
-    average the outermost layer, which has corroded, with the sound metal behind it.  Four-node
+    Where an end face is pulled the cells there are half a lattice spacing wide, or a quarter of
+    those at thread and slot where that is more (50 um with `quick`, about the published cells):
+    wider ones average the outermost layer, which has corroded, with the sound metal behind it.
+    Four-node
     cells and small increments are then the default, since such a layer gives way early.
     """
     given = {"bottom_grip", "top_grip"} & set(tensile)
@@ -154,7 +156,7 @@ def _holds(
             "bending_azimuth": 0.0 if load == "bending" else None,
         }
         depths = {"bottom_grip": bottom, "top_grip": top}
-        layer = lattice.spacing / 2
+        layer = max(lattice.spacing / 2, mesh.size_fine / 4)
         ends = [layer if depth == 0.0 and layer < mesh.size else None for depth in (bottom, top)]
         holds.append(
             HoldScene(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -43,6 +44,9 @@ CORROSION_FILE = "corrosion.h5"
 CHECKPOINT_FILE = "checkpoint.h5"
 HISTORY_FILE = "history.csv"
 SERIES_FILE = "corrosion.pvd"
+
+SURFACES = "PERILIFE_SURFACES"
+"""Variable of the environment: a folder where the surfaces of all runs are kept, by hash."""
 
 
 @dataclass(frozen=True)
@@ -180,11 +184,12 @@ def exposure_of(
 ) -> CellExposure | None:
     """The rate classes that the scene asks for, with the domain's shares; None for one per node.
 
-    folder: where the surface's part of it is kept between runs.
+    folder: where the surface's part of it is kept between runs, unless SURFACES names another.
     """
     settings, horizon = scene.corrosion, scene.lattice.horizon
     if not settings.classes:
         return None
+    folder = Path(os.environ[SURFACES]) if os.environ.get(SURFACES) else folder
     found = solid_exposure(
         solid, lattice, horizon, fraction, settings.classes, settings.kernel_exponent,
         settings.influence, folder,
@@ -220,15 +225,18 @@ def metal_of(
 
 
 def march_omissions(scene: Scene, solid: Solid) -> list[tuple[str, Omission]]:
-    """What the march of each alloy would leave out or needs, with its bound: (alloy, omission)."""
+    """What the march of each alloy would leave out or needs, with its bound: (alloy, omission).
+
+    The bounds are those of one rate per node: a surface would cost more than it changes in them.
+    """
+    scene = replace(scene, corrosion=replace(scene.corrosion, classes=0))
     region = liquid_domain(scene, solid.points)
     lattice, domain = domain_lattice(scene, region)
     metal, fraction = metal_of(scene, lattice, solid)
-    exposure = exposure_of(scene, lattice, region, solid, fraction)
     end = max(time.seconds for time in scene.immersion)
     found = []
     for alloy in scene.alloys:
-        corrosion = corrosion_scene(scene, alloy.name, lattice, domain, metal, fraction, exposure)
+        corrosion = corrosion_scene(scene, alloy.name, lattice, domain, metal, fraction)
         tolerance, keep = scene.corrosion.tolerance, scene.corrosion.keep
         omissions = plan_omissions(corrosion, end, tolerance, keep)
         if scene.ions is not None:

@@ -66,7 +66,7 @@ def solid_exposure(
         kernel_exponent=kernel_exponent, influence=influence,
     )  # fmt: skip
     if kept is not None:
-        temporary = kept.with_name(f".{kept.name}.tmp.npz")
+        temporary = kept.with_name(f".{kept.name}.{os.getpid()}.npz")
         np.savez(
             temporary, cell=found.metal.cell, volume=found.metal.volume,
             exposure=found.metal.exposure, liquid=found.liquid,

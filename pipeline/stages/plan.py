@@ -71,16 +71,19 @@ class Plan:
 class Cost:
     """Measured on two cores at 2.6 GHz: what a plan multiplies its counts with.
 
-    corrosion: seconds and bytes per node and march; tensile: seconds per unknown and increment of
-    ten-node and of four-node cells, and bytes per unknown of one process; parting: how many times
-    that where the metal parts between the grips, with smaller increments and more iterations;
-    picture: seconds of one in the report; report: of the rest of it; ions: seconds per node and
-    solution of the liquid, bytes per node and field, solutions of a march that follows minerals;
-    mesh: seconds per cell; disk: bytes per node and time.
+    corrosion: seconds and bytes per node and march; surface: seconds per triangle and per lattice
+    cell's face of the surface; tensile: seconds per unknown and increment of ten-node and of
+    four-node cells, and bytes per unknown of one process; parting: how many times that where the
+    metal parts between the grips, with smaller increments and more iterations; picture: seconds of
+    one in the report; report: of the rest of it; ions: seconds per node and solution of the liquid,
+    bytes per node and field, solutions of a march that follows minerals; mesh: seconds per cell;
+    disk: bytes per node and time.
     """
 
     corrosion_seconds_per_node: float = 1.1e-4
     corrosion_bytes_per_node: float = 600.0
+    surface_seconds_per_triangle: float = 0.5e-4
+    surface_seconds_per_face: float = 1.15e-3
     tensile_seconds_per_unknown: float = 1.65e-5
     four_node_seconds_per_unknown: float = 2.0e-5
     parting: float = 2.7
@@ -146,6 +149,20 @@ def make_plan(
     ]
     labels = ", ".join(time.label for time in times)
     ion_seconds, ion_bytes, ion_disk = _ion_cost(scene, len(times))
+    if scene.corrosion.classes:
+        triangles, faces = len(solid.triangles), solid.area / scene.lattice.spacing**2
+        tasks.append(
+            Task(
+                "corrode",
+                "surface",
+                f"{triangles:,} triangles, {scene.corrosion.classes} rate classes per cell; once "
+                "for a solid and a lattice",
+                COST.surface_seconds_per_triangle * triangles
+                + COST.surface_seconds_per_face * faces,
+                BASE_MEMORY + COST.corrosion_bytes_per_node * nodes,
+                1e3 * faces,
+            )
+        )
     for alloy in scene.alloys:
         tasks.append(
             Task(

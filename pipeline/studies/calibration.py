@@ -24,6 +24,7 @@ from pipeline.calibration.surrogate import Box, Surrogate, design
 from pipeline.record.run_folder import write_text
 from pipeline.scene.resolve import resolve_scene
 from pipeline.studies.optimisers import cma_es, swarm
+from pipeline.studies.workshop import AS_PRINTED
 
 Array = NDArray[np.float64]
 
@@ -78,7 +79,7 @@ class Problem:
     """The loss (5.15) of synthetic data, every evaluation counted."""
 
     def __init__(self) -> None:
-        scene = resolve_scene([ALLOY], ["8w"])
+        scene = resolve_scene([ALLOY], ["8w"], **AS_PRINTED)
         self.model = ReducedModel(scene, ALLOY, Implant(scene), NAMES)
         values = constants(scene, ALLOY)
         self.truth = np.log([values[name] for name in NAMES])

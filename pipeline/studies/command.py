@@ -8,7 +8,6 @@ from perilife_data import did_you_mean
 
 STUDIES = {
     "corrosion": "error of the volume loss against processor time, and the presets (15 min)",
-    "rate-classes": "what rate classes leave of the lattice's error (10 min)",
     "rates": "what lattice and orientation do to the dissolution rate (seconds)",
     "saturation": "what the time step does to the two saturation models (5 min)",
     "boundaries": "what no-flux walls and held layers do to diffusion near them (seconds)",
@@ -32,7 +31,7 @@ def add_study_options(parser: argparse.ArgumentParser) -> None:
         "--alloy",
         nargs="+",
         metavar="A",
-        help="corrosion, rate-classes: both Mg-Gd alloys; tensile and life-cycle: Mg-5Gd",
+        help="corrosion: both Mg-Gd alloys; tensile and life-cycle: Mg-5Gd",
     )
     parser.add_argument(
         "--immersion", nargs="+", metavar="T", help="tensile: 4w 8w 24w; life-cycle: 8w"
@@ -70,11 +69,6 @@ def run_study(options: argparse.Namespace) -> None:
         study = importlib.import_module(f"pipeline.studies.{options.what}")
         getattr(study, f"print_{options.what}")()
         return
-    if options.what == "rate-classes":
-        from pipeline.studies.rate_classes import print_rate_classes
-
-        print_rate_classes(options.alloy or ["Mg-5Gd", "Mg-10Gd"])
-        return
     if options.what == "calibration":
         from pipeline.studies.calibration import study_calibration
 
@@ -98,10 +92,14 @@ def run_study(options: argparse.Namespace) -> None:
     from pipeline.studies import corrosion as study_corrosion
     from pipeline.studies import corrosion_results as study_results
 
-    study = study_corrosion.study_corrosion(options.alloy, lambda line: print(line, flush=True))
+    keep = Path(options.out) / "marches"
+    keep.mkdir(parents=True, exist_ok=True)
+    study = study_corrosion.study_corrosion(
+        options.alloy, lambda line: print(line, flush=True), keep=keep
+    )
     command = f"perilife study corrosion --alloy {' '.join(options.alloy)} --out {options.out}"
     paths = study_results.write_study(study, Path(options.out), command)
-    print()
+    print("\n" + "\n".join(study_results.tables(study.rows)) + "\n")
     for line in study_results.summary_lines(study):
         print(line)
     print("\n" + "\n".join(map(str, paths)))

@@ -25,7 +25,7 @@ from peri.engine.march.marching import TimeStepping, march
 from peri.transport.chemistry.species import Chemistry
 from peri.transport.nernst_planck import TransportOptions
 from pipeline.geometry.solids import ScrewParameters
-from pipeline.studies.corrosion import screw_scene
+from pipeline.studies.cases import screw_scene
 from pipeline.studies.ions import FLUX, PAIRS, TOTALS, chemistry_of, medium_of, write_text
 
 FILE = "nnpp_published.md"

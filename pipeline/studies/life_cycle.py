@@ -1,10 +1,10 @@
 """Where the error of the strength left comes from: one factor refined at a time.
 
 The strength left (peak force over that of the intact screw) of one alloy after one immersion time,
-with the quick preset and with each factor refined alone: lattice, time step, mapping (samples of a
-cell for its mean damage), mesh, element, increment.  A factor's error is the change to its finest
-level, with what is left of that level by the order of the factor added; the errors of the factors
-add up, which bounds the sum where they do not cancel.
+with the quick preset on a lattice of half the horizon and with each factor refined alone: lattice,
+time step, mapping (samples of a cell for its mean damage), mesh, element, increment.  A factor's
+error is the change to its finest level, with what is left of that level by the order of the factor
+added; the errors of the factors add up, which bounds the sum where they do not cancel.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Level:
     """One value of one factor, all others as in the base.
 
     ratio: strength left; error: of this level, relative; seconds: processor time that the factor
-    decides, of corrosion or of the pull.
+    decides, of the march (the surface aside) or of the pull.
     """
 
     factor: str
@@ -114,6 +114,8 @@ def study_life_cycle(
             name: shop.corrode(alloy, [immersion], name, spacing, change)
             for name, spacing, change in _marches()
         }
+        for spacing, cost in shop.setup_seconds.items():
+            tell(f"surface on {1e6 * spacing:.0f} um: {cost:.1f} s")
         variants = _variants(base)
         pulls = {
             (factor, choice, label): replace(pull, immersion=label, curve=factor, choice=choice)

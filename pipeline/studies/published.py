@@ -20,7 +20,7 @@ from pipeline.scene.published import UNDECIDED
 from pipeline.scene.resolve import DEFAULT_PARAMETER_SET, resolve_scene
 from pipeline.scene.scene import DomainSettings
 from pipeline.stages.damage_map import net_section
-from pipeline.studies.workshop import Pull, Row, Workshop
+from pipeline.studies.workshop import AS_PRINTED, Pull, Row, Workshop
 
 SLOW, FAST = "Mg-10Gd", "Mg-5Gd"
 """The two alloys: Mg-5Gd loses more volume in the same time."""
@@ -143,10 +143,11 @@ def corrosion_readings(alloy: str) -> dict[str, dict[str, object]]:
     """Changes of the scene for each reading of the corrosion, by name; "" is the default."""
     scale = resolve_scene([alloy], ["0w"], "quick").alloys[0].corrosion.volume_loss_scale
     longer = f"volume_loss:length={LENGTH_FACTOR * scale:.10g}"
+    plain = dict(AS_PRINTED)
     return {
-        "": {},
-        "longer l": {"corrosion": {"kinetics": longer}},
-        "0.5 mm of liquid above": {"domain": DomainSettings(axial_margin=0.5e-3)},
+        "": plain,
+        "longer l": {**plain, "corrosion": {**AS_PRINTED["corrosion"], "kinetics": longer}},
+        "0.5 mm of liquid above": {**plain, "domain": DomainSettings(axial_margin=0.5e-3)},
     }
 
 

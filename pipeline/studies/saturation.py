@@ -6,7 +6,7 @@ reaches C_sat beside the metal from the first hours on.
 
 from peri.corrosion.run import corrode
 from peri.engine.march.marching import TimeStepping
-from pipeline.studies.corrosion import DAY, HOUR, screw_scene
+from pipeline.studies.cases import DAY, HOUR, screw_scene
 
 STEPS = (48.0, 24.0, 12.0, 6.0, 3.0, 1.0)
 END = 14 * DAY

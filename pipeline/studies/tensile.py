@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.studies.workshop import Pull, Row, Workshop, weeks, write_rows
+from pipeline.studies.workshop import AS_PRINTED, Pull, Row, Workshop, weeks, write_rows
 
 IMMERSION = ("0w", "4w", "8w", "24w")
 COARSEST, COARSE, QUICK = (0.5e-3, 0.4e-3), (0.4e-3, 0.3e-3), (0.3e-3, 0.2e-3)
@@ -126,7 +126,7 @@ def study_tensile(
     with tempfile.TemporaryDirectory(prefix="perilife-study-") as place:
         shop = Workshop(Path(place))
         for alloy in alloys:
-            shop.corrode(alloy, list(dict.fromkeys(["0w", *immersion])))
+            shop.corrode(alloy, list(dict.fromkeys(["0w", *immersion])), **AS_PRINTED)
         shop.pull(once, workers, done)
     return Study(tuple(_placed(pulls, found)))
 

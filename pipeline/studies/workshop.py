@@ -11,7 +11,7 @@ import multiprocessing
 import os
 import signal
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -87,6 +87,14 @@ class Row(Pull):
     status: str = ""
 
 
+AS_PRINTED: Mapping[str, object] = {
+    "spacing": 100e-6,
+    "corrosion": {"classes": 0, "rate_change": 0.4},
+}
+"""Changes of a scene for fields on the lattice of the published constants, one rate per node: what
+published statements, and meshes among each other, are compared on."""
+
+
 class Workshop:
     """Solid, fields and meshes of the reference screw in a folder, each made when first asked for.
 
@@ -97,6 +105,8 @@ class Workshop:
         self.folder = folder
         self._solid: object = None
         self.corrosion_seconds: dict[tuple[str, str], float] = {}
+        self.setup_seconds: dict[float, float] = {}
+        """Of metal and surface by spacing (m), where they were not read from the folder."""
 
     def scene(self, alloy: str, immersion: Sequence[str], **changes: object) -> Scene:
         """The scene of a quick run, with changes."""
@@ -114,15 +124,17 @@ class Workshop:
         self, alloy: str, immersion: Sequence[str], name: str = "",
         spacing: float | None = None, rate_change: float | None = None, **changes: object,
     ) -> float:  # fmt: skip
-        """March an alloy and store its fields as `name`; returns the processor seconds.
+        """March an alloy and store its fields as `name`; returns the march's processor seconds.
 
         changes: of the scene (scene.resolve.resolve_scene), the rate change aside.
         """
         from peri.engine.march.marching import TimeStepping
         from peri.omissions.planning import corrode_lean
+        from pipeline.stages.by_nodes import by_nodes
         from pipeline.stages.corrosion import (
             corrosion_scene,
             domain_lattice,
+            exposure_of,
             liquid_domain,
             metal_of,
         )
@@ -132,9 +144,15 @@ class Workshop:
         scene = self.scene(alloy, immersion, spacing=spacing, **changes)
         solid = self.solid(scene)
         begun = time.process_time()
-        lattice, domain = domain_lattice(scene, liquid_domain(scene, solid.points))
+        region = liquid_domain(scene, solid.points)
+        lattice, domain = domain_lattice(scene, region)
         metal, fraction = metal_of(scene, lattice, solid)
-        march = corrosion_scene(scene, alloy, lattice, domain, metal, fraction)
+        exposed = exposure_of(scene, lattice, region, solid, fraction, self.folder)
+        march = corrosion_scene(scene, alloy, lattice, domain, metal, fraction, exposed)
+        self.setup_seconds[scene.lattice.spacing] = max(
+            time.process_time() - begun, self.setup_seconds.get(scene.lattice.spacing, 0.0)
+        )
+        begun = time.process_time()
         times = scene.with_intact()
         result, _ = corrode_lean(
             march,
@@ -143,6 +161,9 @@ class Workshop:
             tolerance=scene.corrosion.tolerance,
         )
         seconds = time.process_time() - begun
+        if exposed is not None:
+            result = by_nodes(result, metal)
+        march = result.scene
         fields = zip(times, result.concentration, result.volume_loss, strict=True)
         for moment, concentration, loss in fields:
             np.savez(

@@ -22,6 +22,7 @@ from pipeline.record.run_folder import RunFolder
 from pipeline.report import provenance
 from pipeline.scene.command.options import add_scene_options, scene_from_options
 from pipeline.scene.laws.rate_law import KINETICS
+from pipeline.scene.resolution import RESOLUTIONS
 from pipeline.scene.scene import DISSOLUTION_LAWS, OMITTABLE, scene_from_json
 from pipeline.stages import corrosion as corrosion_stage
 from tests.pipeline.command_line import COARSE, SCENE, changed, refused
@@ -61,9 +62,14 @@ def test_plan_tells_sizes_time_memory_and_omissions(capsys):
     assert main(["plan", *SCENE, "--json"]) == 0
     plan = json.loads(capsys.readouterr().out)
     # cylinder of 2.755 mm x 4.8 mm: pin diameter 1.755 mm and the margins of Table 5.1's scene
-    assert plan["nodes"] == pytest.approx(3.14159 / 4 * 2.755**2 * 4.8 * 1e3, rel=0.03)
+    cells = 3.14159 / 4 * 2.755**2 * 4.8e-9 / RESOLUTIONS["quick"].spacing ** 3
+    assert plan["nodes"] == pytest.approx(cells, rel=0.03)
     stages = ["geometry", "corrode", "map", "pull", "report"]
     assert list(dict.fromkeys(task["stage"] for task in plan["tasks"])) == stages
+    # the surface once, then each alloy
+    surface, *marches = [task for task in plan["tasks"] if task["stage"] == "corrode"]
+    assert surface["what"] == "surface" and "3 rate classes" in surface["size"]
+    assert [task["what"] for task in marches] == ["Mg-5Gd"]
     assert plan["seconds"] == pytest.approx(sum(task["seconds"] for task in plan["tasks"]))
     assert all(task["memory"] > 0 for task in plan["tasks"])
     assert plan["omissions"] and all(item["reason"] for item in plan["omissions"])

@@ -123,8 +123,8 @@ def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -
     corrosion.add_argument(
         "--classes",
         metavar="P",
-        help="rate classes per cell near the surface, which remove most of the lattice's error: "
-        "auto takes 3 where the scene allows them (0: one rate per node)",
+        help="rate classes per cell near the surface, which remove most of the lattice's error; "
+        "0: one rate per node (auto: 3 where the scene allows them)",
     )
     corrosion.add_argument(
         "--tolerance",

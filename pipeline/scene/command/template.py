@@ -12,11 +12,12 @@ import textwrap
 from collections.abc import Callable, Mapping
 from dataclasses import fields
 
+from pipeline.scene.classes import AUTO
 from pipeline.scene.command.arguments import SI_UNIT, options_of
 from pipeline.scene.command.scene_file import KINDS, tables_of
 from pipeline.scene.laws.ions import DEFAULT_MEDIUM, resolve_ions
 from pipeline.scene.resolve import resolve_scene
-from pipeline.scene.units import format_length
+from pipeline.scene.units import format_length, parse_length
 
 WIDTH = 88
 
@@ -91,7 +92,9 @@ def _entry(
     if example:
         value = EXAMPLES.get(name, action.metavar)
     if isinstance(value, float) and action.metavar in SI_UNIT:
-        value = _TYPED[SI_UNIT[action.metavar]](value)
+        typed = _TYPED[SI_UNIT[action.metavar]](value)
+        if SI_UNIT[action.metavar] != "m" or math.isclose(parse_length(typed), value, rel_tol=1e-9):
+            value = typed  # else the number itself, in m: a third of a horizon
     return f"{above}\n#{key} = {_toml(value)}{'  # example' if example else ''}"
 
 
@@ -118,6 +121,7 @@ def _defaults() -> dict[str, object]:
     found = {item.name: getattr(part, item.name) for part in parts for item in fields(part)}
     return {
         **found,
+        "classes": AUTO,
         "parameters": scene.parameter_set,
         "spacing": scene.lattice.spacing,
         "horizon": scene.lattice.horizon,

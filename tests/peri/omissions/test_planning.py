@@ -188,12 +188,12 @@ def test_refusals(options, message):
 
 
 def quick_screw():
-    """Mg-5Gd on the lattice of 100 um, in its published domain."""
+    """Mg-5Gd on the lattice of 100 um, one rate per node, in its published domain."""
     from pipeline.scene.resolve import resolve_scene
     from pipeline.stages.corrosion import corrosion_scene, domain_lattice, liquid_domain, metal_of
     from pipeline.stages.geometry import build_solid
 
-    whole = resolve_scene(["Mg-5Gd"], ["0w", "8w"], "quick")
+    whole = resolve_scene(["Mg-5Gd"], ["0w", "8w"], spacing=1e-4, corrosion={"classes": 0})
     solid = build_solid(whole)
     lattice, domain = domain_lattice(whole, liquid_domain(whole, solid.points))
     assert lattice.spacing == (1e-4,) * 3

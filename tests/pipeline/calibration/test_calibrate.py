@@ -63,7 +63,7 @@ def test_the_reduced_model_is_the_march_of_clean_liquid(pin, noiseless):
 @pytest.mark.slow
 def test_rate_classes_are_those_of_the_march():
     scene = resolve_scene(["Mg-5Gd"], ["8w"], corrosion={"classes": 2}, **COARSE)
-    plain = resolve_scene(["Mg-5Gd"], ["8w"], **COARSE)
+    plain = resolve_scene(["Mg-5Gd"], ["8w"], corrosion={"classes": 0}, **COARSE)
     implant = Implant(scene)
     logs = np.log([constants(scene, "Mg-5Gd")[name] for name in ACTING])
     values = ReducedModel(scene, "Mg-5Gd", implant, ACTING)(WEEKS, logs)[0]
@@ -166,7 +166,7 @@ def test_no_measurements_and_a_full_folder_are_refused(tmp_path, capsys):
 @pytest.mark.slow
 def test_where_the_liquid_counts_only_combinations_are_determined():
     """Mg-10Gd of Table 5.1 in its own scene: marches, two of four constants determined."""
-    scene = resolve_scene(["Mg-10Gd"], ["8w"])
+    scene = resolve_scene(["Mg-10Gd"], ["8w"], spacing=100e-6, corrosion={"classes": 0})
     losses = np.array(march(scene.to_json(), "Mg-10Gd", WEEKS.tolist()))
     found = calibrate(scene, "Mg-10Gd", Measurements(WEEKS, losses, np.full(5, 0.01)))
     assert found.clean is None and found.result.names == ("liquid_diffusivity", "volume_loss_scale")

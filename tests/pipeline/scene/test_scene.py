@@ -335,13 +335,13 @@ def test_each_way_of_holding_has_its_grips_and_its_mesh():
     assert grips["shank"] == pytest.approx((0.7e-3, 0.7e-3))
     assert grips["slot"] == pytest.approx((0.7e-3, 0.3e-3))
     assert grips["faces"] == (0.0, 0.0)
-    # cells at pulled faces: half the lattice spacing of 100 um, and four nodes
+    # cells at pulled faces: a quarter of those at the slot, more than half the spacing; four nodes
     assert [h.mesh.size_ends for h in scene.holds] == [(None, None)] * 2 + [(5e-5, 5e-5)]
     assert [h.tensile.element for h in scene.holds] == ["P2", "P2", "P1"]
     assert list(scene.meshes()) == ["", "faces"]
     assert [scene.mesh_folder(h) for h in scene.holds] == ["", "", "faces"]
     assert set(grips) < set(HOLDINGS)
-    finer = resolve_scene(["Mg-5Gd"], ["8w"], hold=["faces"], mesh_size=47e-6)
+    finer = resolve_scene(["Mg-5Gd"], ["8w"], hold=["faces"], mesh_size=33e-6)
     assert finer.mesh.size_ends == (None, None)  # fine enough everywhere
     chosen = resolve_scene(["Mg-5Gd"], ["8w"], hold=["faces"], tensile={"element": "P2"})
     assert chosen.tensile.element == "P2"

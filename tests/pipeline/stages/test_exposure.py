@@ -88,14 +88,18 @@ def test_auto_takes_classes_where_the_scene_allows_them():
     def scene(**corrosion):
         return resolve_scene(["Mg-5Gd"], ["0w", "8w"], "quick", corrosion=corrosion)
 
-    taken = scene(classes="auto")
-    assert taken.corrosion == replace(scene().corrosion, classes=3)
+    taken = scene()
+    assert taken == scene(classes="auto") and taken.corrosion.classes == 3
     assert one_rate_because(taken) == ""
+    nodes = scene(classes=0)
+    assert nodes.corrosion == replace(taken.corrosion, classes=0)
     plain = scene(classes="auto", scheme="forward_euler")
     assert plain.corrosion.classes == 0
     assert "time scheme where there are rate classes is 'forward_euler'" in one_rate_because(plain)
-    assert "as asked for: --classes auto" in one_rate_because(scene())
-    left_out = [entry.what for entry in scene_omissions(scene())]
+    assert "as --classes 0 asks" in one_rate_because(nodes)
+    unmoved = resolve_scene(["Mg-5Gd"], ["0w"])
+    assert unmoved.corrosion.classes == 0 and "only time zero" in one_rate_because(unmoved)
+    left_out = [entry.what for entry in scene_omissions(nodes)]
     assert "the spread of the rate within a cell" in left_out
     assert "the spread of the rate within a cell" not in [
         entry.what for entry in scene_omissions(taken)

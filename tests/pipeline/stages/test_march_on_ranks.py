@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from pipeline.api.life_cycle import LifeCycle
 from pipeline.cli import main
 from pipeline.scene.laws.ions import resolve_ions
 from pipeline.scene.resolve import resolve_scene
@@ -14,7 +15,7 @@ from tests.pipeline.calibration.test_calibrate import COARSE, PIN
 
 RUN = ["--alloy", "Mg-10Gd", "--immersion", "0w", "2w", *PIN, "--spacing", "150um"]
 RUN += ["--horizon", "150um", "--mesh-size", "0.8mm", "--final-strain", "0.02", "--quiet"]
-RUN += ["--keep", "liquid", "far_liquid"]
+RUN += ["--keep", "liquid", "far_liquid", "--classes", "0"]
 
 
 def test_what_one_process_computes_is_refused_on_ranks(tmp_path, capsys):
@@ -24,6 +25,9 @@ def test_what_one_process_computes_is_refused_on_ranks(tmp_path, capsys):
         check_ranks(scene, 2)
     with pytest.raises(SceneError, match="with --model nnpp it must be 1"):
         check_ranks(resolve_scene(["Mg-5Gd"], ["8w"], ions=resolve_ions()), 2)
+    # unless classes are asked for, a march on ranks has one rate per node
+    assert [LifeCycle("Mg-5Gd", "8w", ranks=n).scene.corrosion.classes for n in (1, 2)] == [3, 0]
+    assert LifeCycle("Mg-5Gd", "8w", ranks=2, classes="2").scene.corrosion.classes == 2
     out = str(tmp_path / "run")
     assert main(["run", *RUN, "--ranks", "0", "--out", out]) == 2
     assert "--ranks is 0; it must be 1 to 4096" in capsys.readouterr().err
