@@ -404,7 +404,7 @@ class Degradation(CorrosionProblem):
             return around.liquid.solve(source, start, amounts, span)
 
         try:
-            start = nodes.read(guess.fields)
+            start = nodes.read(guess.fields, composed=False)
             if self.bath is None:
                 liquid = solve(start)
             else:
@@ -446,7 +446,7 @@ class Degradation(CorrosionProblem):
         if not self.follows_minerals:
             return row
         around = self.surroundings
-        ph = around.liquid.ph(self.on_nodes.read(state.fields)).max(initial=-np.inf)
+        ph = around.liquid.ph(self.on_nodes.read(state.fields, composed=False)).max(initial=-np.inf)
         amounts = self.on_nodes.at(state.fields["minerals"])
         row = (*row, float(ph), *(around.space.total(a) for a in amounts))
         if self.bath is not None:

@@ -36,16 +36,19 @@ class LiquidFields:
         new.reshape(*lead, metal.size)[..., self.around.space.index] = values
         return new
 
-    def read(self, fields: Fields) -> LiquidState:
-        """The liquid that `write` put into a state's fields."""
-        liquid = self.around.liquid
-        state = liquid.rest()
-        for name in _SCALARS:
-            setattr(state, name, fields[f"liquid_{name}"].copy())
-        state.active = [row > 0 for row in fields["liquid_active"]]
-        state.concentration = liquid.composer.concentrations(state.ln_component, liquid.b)
-        state.net_charge = liquid.chemistry.charge @ state.concentration
-        return state
+    def read(self, fields: Fields, composed: bool = True) -> LiquidState:
+        """The liquid that `write` put into a state's fields.
+
+        composed : fill in the concentrations, which a start of a solution can do without
+        """
+        liquid, n = self.around.liquid, self.around.space.n
+        scalars = {name: fields[f"liquid_{name}"].copy() for name in _SCALARS}
+        active = [row > 0 for row in fields["liquid_active"]]
+        concentration, charge = np.empty((len(liquid.chemistry.names), n)), np.empty(n)
+        if composed:
+            liquid.composer.concentrations(scalars["ln_component"], liquid.b, concentration)
+            charge = liquid.chemistry.charge @ concentration
+        return LiquidState(concentration=concentration, net_charge=charge, active=active, **scalars)
 
     def write(self, state: LiquidState) -> Fields:
         """Fields `liquid_...` that later solutions start from."""

@@ -33,13 +33,16 @@ def composition(
     charge = np.abs(liquid.chemistry.charge @ concentration) / strength
     volt = liquid.thermal_voltage
     left_out = liquid.potential_bound(found) if liquid.options.closure == "none" else 0.0
-    species = [space.crop(c, e) for c, e in zip(concentration, edge, strict=True)]
+    # One by one: of a large lattice the species in double precision are gigabytes.
+    species = np.empty((len(edge), *space.sum.lattice_shape), np.float32)
+    for row, c, e in zip(species, concentration, edge, strict=True):
+        row[...] = space.crop(c, e)
     minerals = np.array([space.crop(a, 0.0) for a in amounts], np.float32)
     fullest = _fullest(around, amounts)
     out: dict[str, np.ndarray | float] = {
         "ph": space.crop(liquid.ph(found), float(bath.ph[0])).astype(np.float32),
         "potential": space.crop(volt * found.psi, 0.0).astype(np.float32),
-        "species": np.array(species, np.float32),
+        "species": species,
         "minerals": minerals.reshape(len(amounts), *space.sum.lattice_shape),
         "net_charge": float(charge.max(initial=0.0)),
         "fullest": fullest,

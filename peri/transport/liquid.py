@@ -34,16 +34,19 @@ class LiquidState:
     active: list[np.ndarray] = field(default_factory=list)
 
     def copy(self) -> LiquidState:
-        """Return a state of its own; counters start at zero."""
+        """Return a state of its own, to be composed anew: its concentrations are not filled in.
+
+        Counters start at zero.
+        """
         return LiquidState(
             self.ln_component.copy(),
-            self.concentration.copy(),
+            np.empty_like(self.concentration),
             self.release.copy(),
             self.extents.copy(),
             self.migrated.copy(),
             self.rates.copy(),
             self.psi.copy(),
-            self.net_charge.copy(),
+            np.empty_like(self.net_charge),
             active=[a.copy() for a in self.active],
         )
 

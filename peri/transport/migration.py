@@ -25,7 +25,8 @@ class Migration:
         self.form, self.space = form, space
         self.components = len(chemistry.components)
         self.groups = chemistry.charge_groups()
-        self._weights = np.array([w for _, _, w in self.groups])
+        carriers = [np.flatnonzero(weights) for _, _, weights in self.groups]
+        self._carriers = [(k, w[k]) for k, (_, _, w) in zip(carriers, self.groups, strict=True)]
 
     def mobility(self, edge: np.ndarray) -> np.ndarray:
         """sum_k nu_ke z_k D_k C_k of a composition (K,): per change of psi, (E,), mol/m/s."""
@@ -41,13 +42,13 @@ class Migration:
         """
         space, degree = self.space, self.space.gather(self.space.degree_field)
         out = np.zeros((self.components, space.n))
-        values, held = self._weights @ concentration, self._weights @ edge
         steps, shrunk = {}, {}
         if self.form == "sqra":
             for z in {z for _, z, _ in self.groups}:
                 steps[z] = steps_of(z, psi)
                 shrunk[z] = space.neighbours(steps[z][1])
-        for (e, z, _), c, at_edge in zip(self.groups, values, held, strict=True):
+        for (e, z, _), (carriers, weights) in zip(self.groups, self._carriers, strict=True):
+            c, at_edge = weights @ concentration[carriers], float(weights @ edge[carriers])
             if self.form == "sqra":
                 grown, around = space.neighbours(steps[z][0] * c), space.neighbours(c, at_edge)
                 out[e] += sqra(c, steps[z], grown, around, shrunk[z], degree)
