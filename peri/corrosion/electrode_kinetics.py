@@ -9,12 +9,17 @@ import numpy as np
 
 from peri.corrosion.kinetics import Exposed, Kinetics
 from peri.engine.constants import FARADAY, GAS_CONSTANT
+from peri.engine.march.problem import BoundsError
 
 BALANCES = ("local", "mixed", "applied")
 """How anode and cathode share the charge: at one place; all over the metal, which has one potential
 of its own (mixed), or one that is held, or that carries a held current (applied)."""
 
 _HALVINGS = 200
+
+
+class PlatingError(BoundsError, ValueError):
+    """The metal's ions would plate out on it; in the rounds of a stage it may pass."""
 
 
 @dataclass(frozen=True)
@@ -141,7 +146,7 @@ class ElectrodeKinetics(Kinetics):
     def rate(self, at: Exposed) -> np.ndarray:
         """i_a over that in the medium.
 
-        Raises ValueError where the metal's ions would plate out on it.
+        Raises PlatingError where the metal's ions would plate out on it.
         """
         if self.balance == "local":
             free = self.corrosion_potential(at.ph, at.magnesium)
@@ -150,7 +155,7 @@ class ElectrodeKinetics(Kinetics):
         anodic, _ = self.rates(np.asarray(at.potential), at.ph, at.magnesium)
         if (anodic < 0).any():
             lowest = float(np.asarray(at.potential)[anodic < 0].min())
-            raise ValueError(
+            raise PlatingError(
                 f"potential: at {lowest:.4g} V the metal's ions would plate out on it, which is "
                 "not computed; hold it higher"
             )

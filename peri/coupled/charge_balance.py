@@ -20,7 +20,9 @@ import numpy as np
 from scipy.optimize import brentq
 
 from peri.corrosion.electrode_kinetics import ElectrodeKinetics
+from peri.corrosion.nodes.bimaterial import BiMaterial
 from peri.corrosion.scene import CorrosionScene
+from peri.coupled.feedback import Agreement
 from peri.coupled.surroundings import MAGNESIUM, Surroundings
 from peri.engine.constants import FARADAY
 from peri.transport.liquid import LiquidSpace
@@ -124,6 +126,16 @@ class ChargeBalance:
     def wanted(self) -> float:
         """Moles of metal that leave their electrons to the current, over a cell's volume, 1/s."""
         return (self.current or 0.0) / (ELECTRONS * FARADAY * self.scene.lattice.cell_volume)
+
+    def agreement(self, discrete: BiMaterial, seen: Seen) -> Agreement:
+        """Rounds of a stage; a current that the liquid cannot carry goes back towards none."""
+        phase, own = discrete.box_phase, np.array(seen["potential"])
+        for number, law in enumerate(self.laws, 1):
+            of = phase == number
+            own[of] = law.corrosion_potential(seen["ph"][of], seen["magnesium"][of])
+        return Agreement(
+            discrete, seen, lambda values, _: self.rates(phase, values), {**seen, "potential": own}
+        )
 
     def begin(self, around: Surroundings) -> None:
         """Give the kinetics the potential that the metal has in the medium at first."""

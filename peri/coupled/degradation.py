@@ -40,6 +40,7 @@ from peri.engine.constants import FARADAY
 from peri.engine.march.checkpoints import fingerprint
 from peri.engine.march.problem import Attempt, BoundsError, Fields, Stage, State
 from peri.engine.march.stepping import GAMMA
+from peri.engine.solvers import ConvergenceError
 from peri.transport.chemistry.composition import CompositionError
 from peri.transport.chemistry.speciation import Solution
 from peri.transport.liquid import LiquidState
@@ -350,15 +351,18 @@ class Degradation(CorrosionProblem):
         if not self._reads:
             return self._joined(old, tau, guess)
         balance, iterations = self.charge_balance, 0
-        agreement = Agreement(
-            self.discrete,
-            {n: guess.fields[f"seen_{n}"] for n in self._reads},
-            balance and (lambda seen, _: balance.rates(self.discrete.box_phase, seen)),
-        )
+        begin = {n: guess.fields[f"seen_{n}"] for n in self._reads}
+        rounds = Agreement if balance is None else balance.agreement
+        agreement = rounds(self.discrete, begin)
         while True:
             seen = {f"seen_{name}": values for name, values in agreement.seen.items()}
             fields = {**guess.fields, **seen}
-            stage = self._joined(old, tau, State(guess.time, fields, guess.numbers))
+            try:
+                stage = self._joined(old, tau, State(guess.time, fields, guess.numbers))
+            except (BoundsError, ConvergenceError):
+                if not agreement.go_back():
+                    raise
+                continue
             stage.fields |= seen
             iterations += stage.iterations
             around, nodes = self.surroundings, self.on_nodes
@@ -371,9 +375,7 @@ class Degradation(CorrosionProblem):
             if agreement.with_(found, stage.numbers["volume_loss"]):
                 stage.iterations = iterations
                 return stage
-            guess = State(
-                guess.time, {**fields, **stage.fields}, {**guess.numbers, **stage.numbers}
-            )
+            guess = State(guess.time, fields | stage.fields, guess.numbers | stage.numbers)
 
     def _joined(self, old: Fields, tau: float, guess: State) -> Stage:
         """The metal's stage, then liquid and minerals for what it releases, solved as one."""

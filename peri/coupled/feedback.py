@@ -20,6 +20,7 @@ AGREED = 1e-7
 node's: far below the error of a controlled step (1e-3)."""
 
 _ROUNDS = 40
+_HALVINGS = 8
 _VOLT = 0.025
 """V that change a rate about as much as one unit of pH."""
 
@@ -114,14 +115,21 @@ class Agreement:
     """Rounds until the liquid that the metal reads is the one that its release makes.
 
     discrete : the metal;  seen : what its kinetics reads, by name, padded box arrays to begin with;
-    rates : of the nodes by that and the volume loss, by default those of the kinetics.
+    rates : of the nodes by that and the volume loss, by default those of the kinetics;  safe : what
+    the liquid surely has a state for, to go back towards where it has none.
 
     A liquid that resists change (the pH of one without a buffer follows the release at once) makes
     the plain rounds diverge, so they are mixed; a mixture below zero is not taken.
     """
 
-    def __init__(self, discrete: BiMaterial, seen: Seen, rates: Rates | None = None) -> None:
-        self.discrete, self.seen = discrete, seen
+    def __init__(
+        self,
+        discrete: BiMaterial,
+        seen: Seen,
+        rates: Rates | None = None,
+        safe: Seen | None = None,
+    ) -> None:
+        self.discrete, self.seen, self._safe, self._backwards = discrete, seen, safe, 0
         self._sees = discrete.box_metal & (discrete.box_neighbour_liquid > 0)
         self._rates = rates or self._own_rates
         self._mixing = Mixing()
@@ -132,6 +140,7 @@ class Agreement:
 
         Raises ConvergenceError after too many rounds.
         """
+        self._safe, self._backwards = self._safe and self.seen, 0
         there = {n: np.broadcast_to(found[n], self._sees.shape) for n in self.seen}
         before, after = (
             np.asarray(self._rates(values, volume_loss))[..., self._sees]
@@ -149,6 +158,15 @@ class Agreement:
             )
         self.seen = self._mixed(there)
         return False
+
+    def go_back(self) -> bool:
+        """Go half the way back to what had a state; whether there is such a way."""
+        self._backwards += 1
+        if self._safe is None or self._backwards > _HALVINGS:
+            return False
+        self.seen = {n: 0.5 * (values + self._safe[n]) for n, values in self.seen.items()}
+        self._mixing = Mixing()
+        return True
 
     def _own_rates(self, seen: Seen, volume_loss: float) -> np.ndarray:
         self.discrete.surface |= seen
