@@ -104,6 +104,8 @@ def settle(
     Raises ConvergenceError, CompositionError.
     """
     taking = _taking(liquid, state, there)
+    for i in set(range(len(liquid.minerals))) - set(taking):
+        state.extents[i] = 0.0  # what an earlier, looser balance left of one that is gone
     while True:
         if taking and there is not None:
             nodes = np.flatnonzero(np.any([liquid.minerals[i].region for i in taking], axis=0))
