@@ -152,7 +152,7 @@ def _by_itself(run: RunResults, own: dict[str, float]) -> str:
     more = "time steps" + f" and the liquid of {' and '.join(liquid)}" * bool(liquid)
     return (
         f"The run itself finds the volume loss off by about {errors} of its value because the "
-        "solid's surface was sampled: by the change with parts twice as wide, and with all samples "
+        "solid's surface was sampled: by the change with other parts, and with all samples "
         f"instead of rate classes; {more} come on top."
     )
 

@@ -19,6 +19,7 @@ from peri.engine.surface.rate_classes import (
     CellExposure,
     RateClasses,
     Rates,
+    SamplingCheck,
     cell_exposure,
 )
 from peri.engine.surface.sampling import default_finest
@@ -28,8 +29,9 @@ from pipeline.geometry.surface import Solid
 logger = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
-_FORMAT = 2
+_FORMAT = 3
 """Raised with every change of what is kept, or of how it is sampled."""
+_CHECKED = ("classes", "samples", "finer", "coarser")
 _SAMPLES = 16
 """Samples per axis of a cell that the domain's edge cuts: its volume to 1e-4."""
 
@@ -59,8 +61,8 @@ def solid_exposure(
     if kept is not None and kept.exists():
         with np.load(kept) as stored:
             metal = RateClasses(stored["cell"], stored["volume"], stored["exposure"], fraction)
-            rates = (Rates(*stored[name]) for name in ("sampled", "coarser"))
-            return CellExposure(metal, stored["liquid"], None, None, *rates)
+            check = SamplingCheck(*(Rates(*stored[name]) for name in _CHECKED))
+            return CellExposure(metal, stored["liquid"], check=check)
     found = cell_exposure(
         lattice, surface, horizon, fraction, classes,
         kernel_exponent=kernel_exponent, influence=influence,
@@ -70,14 +72,13 @@ def solid_exposure(
         np.savez(
             temporary, cell=found.metal.cell, volume=found.metal.volume,
             exposure=found.metal.exposure, liquid=found.liquid,
-            sampled=_rows(found.sampled), coarser=_rows(found.coarser),
+            **{name: _rows(getattr(found.check, name)) for name in _CHECKED},
         )  # fmt: skip
         os.replace(temporary, kept)
     return found
 
 
-def _rows(rates: Rates | None) -> Array:
-    assert rates is not None  # cell_exposure gives them
+def _rows(rates: Rates) -> Array:
     return np.stack([rates.volume, rates.exposure])
 
 

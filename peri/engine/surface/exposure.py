@@ -32,13 +32,28 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from peri.engine.influence import INFLUENCE_FUNCTIONS
-from peri.engine.surface.triangles import Array, Finder, Surface, checked_points, frames, in_reach
+from peri.engine.surface.tree import Array
+from peri.engine.surface.triangles import Surface, checked_points
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 _PIECE = 1.5
 """Longest piece of an edge, in u, for one set of Gauss nodes: 1e-12 of the edge's integral."""
-FAR = 4.0
-"""From this many of its radii on a triangle is integrated by three points instead of exactly."""
+FAR = 2.5
+"""From this many of its radii on a triangle is integrated by points instead of exactly."""
+
+
+_WIDE = 0.15
+"""Radius of a group of triangles, in horizons, that counts as one at most."""
+_TABLED = 1 / 64
+"""From this r^2 on psi is read from a table, to 1e-5."""
+_THREE = 0.5
+"""Three points this far from the middle to the corners: exact for quadratics."""
+_SEVEN = (
+    (0.225, 0.0),
+    (0.13239415278850619, -0.4104261923153453),
+    (0.12593918054482717, 0.6961404780296310),
+)
+"""Weights and places of the rule of seven points, exact to fifth order (Radon 1948)."""
 
 
 def exposure(
@@ -65,9 +80,9 @@ def exposure(
         q < 1.
     influence : {"constant", "linear"}
     far : float
-        A triangle whose middle is this many times its radius away is integrated by three points;
-        math.inf: none is.  On a ball of 3 horizons in triangles of 0.06 horizons the default is
-        9 times faster than none, at errors of at most 1e-4 of the mean exposure.
+        A triangle whose middle is this many times its radius away is integrated by seven points,
+        from twice that on by three, or with its neighbours by four; math.inf: none is.  On the
+        reference screw the default errs by 5e-6 of the mean exposure (root of the mean square).
 
     Returns
     -------
@@ -94,14 +109,18 @@ def exposure(
         return unit * _exposure_1d(points[:, 0], corners[:, 0, 0], *shape)
     if surface.dimension == 2:
         return unit * _exposure_2d(points, corners, *shape, _NODES, _WEIGHTS)
-    finder = Finder(corners, 1.0)
-    order, starts = finder.group(points)
-    out = np.zeros(len(points))
-    rules = (*shape, _NODES, _WEIGHTS, far)
-    grouped = (np.ascontiguousarray(points[order]), starts, corners, *frames(corners))
-    arguments: tuple[Any, ...] = (*grouped, *finder.grid, *rules)
-    out[order] = _exposure_3d(*arguments)
-    return unit * out
+    tree = surface.tree.in_units(horizon)
+    arguments: tuple[Any, ...] = (
+        np.ascontiguousarray(points),
+        tree.corners,
+        tree.normal,
+        tree.area,
+        tree.centre,
+        tree.radius,
+    )
+    arguments += (tree.first, tree.last, tree.middle, tree.size, tree.flat, tree.place, tree.weight)
+    arguments += (*shape, _table(*shape), _NODES, _WEIGHTS, far)
+    return unit * _exposure_3d(*arguments)
 
 
 # --- one and two dimensions -------------------------------------------------------------------
@@ -122,6 +141,15 @@ def _psi(x: float, p: float, linear: bool) -> float:
         return -math.log(x)
     value = _power_mean(p, x)
     return value - _power_mean(p + 1.0, x) if linear else value
+
+
+@njit(cache=True)
+def _table(p: float, linear: bool) -> Array:
+    """psi at even steps of r^2 from 0 to the horizon; the first entries are not used."""
+    out = np.zeros(4097)
+    for k in range(1, out.size):
+        out[k] = _psi(math.sqrt(k / (out.size - 1)), p, linear)
+    return out
 
 
 @njit(cache=True)
@@ -213,7 +241,7 @@ def _edge(
     p = abs(side)
     if p < 1e-14 * length:
         return 0.0, 0.0
-    angle = math.atan2(end, p) - math.atan2(start, p)
+    angle = math.atan2(p * length, p * p + start * end)
     value = 0.0
     squared = 1.0 - h * h - p * p
     if squared > 0.0:
@@ -263,43 +291,67 @@ def _triangle(
     return math.copysign(1.0, h) * value
 
 
+@njit(cache=True, inline="always")
+def _point(dx: float, dy: float, dz: float, p: float, linear: bool, table: Array) -> float:
+    """psi / r^3 at a distance in horizons, 0 beyond."""
+    r2 = dx * dx + dy * dy + dz * dz
+    if r2 >= 1.0:
+        return 0.0
+    r = math.sqrt(r2)
+    if r2 < _TABLED:
+        return _psi(r, p, linear) / (r2 * r)
+    place = r2 * (table.size - 1)
+    k = int(place)
+    return (table[k] + (place - k) * (table[k + 1] - table[k])) / (r2 * r)
+
+
 @njit(cache=True, parallel=True)
 def _exposure_3d(
     points: Array,
-    groups: Array,
     corners: Array,
     normal: Array,
     area: Array,
     centre: Array,
     radius: Array,
-    starts: Array,
-    items: Array,
     first: Array,
-    lower: Array,
-    cell: float,
-    shape: Array,
-    reach: float,
+    last: Array,
+    middle: Array,
+    size: Array,
+    flat: Array,
+    place: Array,
+    weight: Array,
     p: float,
     linear: bool,
+    table: Array,
     nodes: Array,
     weights: Array,
     far: float,
 ) -> Array:
     out = np.zeros(len(points))
-    for group in prange(len(groups) - 1):
-        begin, end = groups[group], groups[group + 1]
-        box_low, box_high = points[begin].copy(), points[begin].copy()
-        for i in range(begin, end):
-            for a in range(3):
-                box_low[a] = min(box_low[a], points[i, a])
-                box_high[a] = max(box_high[a], points[i, a])
-        near = in_reach(
-            box_low, box_high, centre, radius, starts, items, first, lower, cell, shape, reach
-        )
-        for i in range(begin, end):
-            x, y, z = points[i, 0], points[i, 1], points[i, 2]
-            total = 0.0
-            for t in near:
+    leaves = first.size // 2
+    for i in prange(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        total = 0.0
+        waiting = np.empty(64, np.int64)
+        waiting[0], count = 1, 1
+        while count:
+            count -= 1
+            k = waiting[count]
+            dx, dy, dz = middle[k, 0] - x, middle[k, 1] - y, middle[k, 2] - z
+            distance2 = dx * dx + dy * dy + dz * dz
+            if distance2 >= (1.0 + size[k]) ** 2:
+                continue
+            if flat[k] and distance2 > (2.0 * far * size[k]) ** 2 and size[k] < _WIDE:
+                for s in range(place.shape[1]):
+                    dx, dy, dz = place[k, s, 0] - x, place[k, s, 1] - y, place[k, s, 2] - z
+                    across = dx * weight[k, s, 0] + dy * weight[k, s, 1] + dz * weight[k, s, 2]
+                    total += across * _point(dx, dy, dz, p, linear, table)
+                continue
+            if k < leaves:
+                waiting[count], waiting[count + 1] = 2 * k, 2 * k + 1
+                count += 2
+                continue
+            for t in range(first[k], last[k]):
                 cx, cy, cz = centre[t, 0] - x, centre[t, 1] - y, centre[t, 2] - z
                 distance2 = cx * cx + cy * cy + cz * cz
                 if distance2 >= (1.0 + radius[t]) ** 2:
@@ -307,18 +359,24 @@ def _exposure_3d(
                 h = normal[t, 0] * cx + normal[t, 1] * cy + normal[t, 2] * cz
                 if not 1e-14 < abs(h) < 1.0:
                     continue
-                if distance2 > (far * radius[t]) ** 2:
-                    # Three points a sixth in from the edges: exact for quadratics.
-                    value = 0.0
-                    for a in range(3):
-                        dx = cx + 0.5 * (corners[t, a, 0] - centre[t, 0])
-                        dy = cy + 0.5 * (corners[t, a, 1] - centre[t, 1])
-                        dz = cz + 0.5 * (corners[t, a, 2] - centre[t, 2])
-                        r = math.sqrt(dx * dx + dy * dy + dz * dz)
-                        if r < 1.0:
-                            value += _psi(r, p, linear) / (r * r * r)
-                    total += value * h * area[t] / 3.0
-                else:
+                if distance2 <= (far * radius[t]) ** 2:
                     total += _triangle(corners, t, x, y, z, normal, h, p, linear, nodes, weights)
-            out[i] = total
+                    continue
+                value = 0.0
+                if distance2 > (2.0 * far * radius[t]) ** 2:
+                    for a in range(3):
+                        dx = cx + _THREE * (corners[t, a, 0] - centre[t, 0])
+                        dy = cy + _THREE * (corners[t, a, 1] - centre[t, 1])
+                        dz = cz + _THREE * (corners[t, a, 2] - centre[t, 2])
+                        value += _point(dx, dy, dz, p, linear, table) / 3.0
+                else:
+                    value = _SEVEN[0][0] * _point(cx, cy, cz, p, linear, table)
+                    for share, out_by in _SEVEN[1:]:
+                        for a in range(3):
+                            dx = cx + out_by * (corners[t, a, 0] - centre[t, 0])
+                            dy = cy + out_by * (corners[t, a, 1] - centre[t, 1])
+                            dz = cz + out_by * (corners[t, a, 2] - centre[t, 2])
+                            value += share * _point(dx, dy, dz, p, linear, table)
+                total += value * h * area[t]
+        out[i] = total
     return out

@@ -5,13 +5,13 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-Array = NDArray[Any]
+from peri.engine.surface.tree import Array, Tree, tree_of
+
 Triple = tuple[float, float, float]
 
 
@@ -76,10 +76,16 @@ class Surface:
         return float(np.linalg.det(corner).sum()) / math.factorial(self.dimension)
 
     @functools.cached_property
+    def tree(self) -> Tree:
+        """The tree over the triangles (3D), m."""
+        return tree_of(self.vertices[self.facets])
+
+    @functools.cached_property
     def pseudo_normals(self) -> NDArray[np.float64]:
         """(m, 7, 3): of each triangle its normal, those of its edges, those of its vertices."""
         facets, corners = self.facets, self.vertices[self.facets]
-        normal = frames(corners)[0]
+        normal = np.empty((len(facets), 3))
+        normal[self.tree.number] = self.tree.normal
         out = np.empty((len(facets), 7, 3))
         out[:, 0] = normal
         start, end = facets.ravel(), np.roll(facets, -1, axis=1).ravel()
@@ -118,131 +124,11 @@ def checked_points(points: NDArray[np.float64], surface: Surface) -> NDArray[np.
     return points
 
 
-# --- facets in reach --------------------------------------------------------------------------
-
-
-class Finder:
-    """Triangles by cells of a grid, so that a group of near points meets only those in reach."""
-
-    def __init__(self, corners: NDArray[np.float64], reach: float) -> None:
-        self.lower = corners.min(axis=(0, 1))
-        extent = corners.max(axis=(0, 1)) - self.lower
-        self.cell = max(reach, float(extent.max()) / 64)
-        self.shape = np.floor(extent / self.cell).astype(np.int64) + 1
-        self.reach = reach
-        first = np.floor((corners.min(axis=1) - self.lower) / self.cell).astype(np.int64)
-        last = np.floor((corners.max(axis=1) - self.lower) / self.cell).astype(np.int64)
-        self.first = np.clip(first, 0, self.shape - 1)
-        last = np.clip(last, 0, self.shape - 1)
-        starts, items = _fill_grid(self.first, last, self.shape)
-        self.grid: tuple[Any, ...] = (
-            starts,
-            items,
-            self.first,
-            self.lower,
-            self.cell,
-            self.shape,
-            reach,
-        )
-
-    def group(self, points: NDArray[np.float64]) -> tuple[NDArray, NDArray]:
-        """An order of the points in which near ones follow each other, and where groups start."""
-        place = np.floor((points - self.lower) / (0.5 * self.reach)).astype(np.int64)
-        place -= place.min(axis=0, initial=0)
-        span = place.max(axis=0, initial=0) + 1
-        key = (place[:, 0] * span[1] + place[:, 1]) * span[2] + place[:, 2]
-        order = np.argsort(key, kind="stable")
-        starts = np.flatnonzero(np.diff(key[order], prepend=-1))
-        return order, np.append(starts, len(points))
-
-
-@njit(cache=True)
-def _fill_grid(first: Array, last: Array, shape: Array) -> tuple[Array, Array]:
-    """Triangle numbers by grid cell, in compressed rows."""
-    count = np.zeros(shape[0] * shape[1] * shape[2] + 1, np.int64)
-    items = np.zeros(0, np.int64)
-    for sweep in range(2):
-        for t in range(len(first)):
-            for a in range(first[t, 0], last[t, 0] + 1):
-                for b in range(first[t, 1], last[t, 1] + 1):
-                    for c in range(first[t, 2], last[t, 2] + 1):
-                        k = (a * shape[1] + b) * shape[2] + c
-                        if sweep == 0:
-                            count[k + 1] += 1
-                        else:
-                            count[k] -= 1
-                            items[count[k]] = t
-        if sweep == 0:
-            count = np.cumsum(count)
-            items = np.empty(count[-1], np.int64)
-            count[:-1] = count[1:]
-    return count, items
-
-
-@njit(cache=True)
-def in_reach(
-    box_low: Array,
-    box_high: Array,
-    centre: Array,
-    radius: Array,
-    starts: Array,
-    items: Array,
-    first: Array,
-    lower: Array,
-    cell: float,
-    shape: Array,
-    reach: float,
-) -> Array:
-    """Triangles whose sphere comes within reach of a box, each once."""
-    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
-    for a in range(3):
-        low[a] = max(0, math.floor((box_low[a] - reach - lower[a]) / cell))
-        high[a] = min(shape[a] - 1, math.floor((box_high[a] + reach - lower[a]) / cell))
-    found = np.empty(64, np.int64)
-    n = 0
-    for i in range(low[0], high[0] + 1):
-        for j in range(low[1], high[1] + 1):
-            for k in range(low[2], high[2] + 1):
-                row = (i * shape[1] + j) * shape[2] + k
-                for s in range(starts[row], starts[row + 1]):
-                    t = items[s]
-                    # A triangle in several cells counts in the first of those looked at.
-                    if (
-                        i != max(low[0], first[t, 0])
-                        or j != max(low[1], first[t, 1])
-                        or k != max(low[2], first[t, 2])
-                    ):
-                        continue
-                    gap = 0.0
-                    for a in range(3):
-                        off = max(box_low[a] - centre[t, a], centre[t, a] - box_high[a], 0.0)
-                        gap += off * off
-                    if gap >= (reach + radius[t]) ** 2:
-                        continue
-                    if n == found.size:
-                        grown = np.empty(2 * n, np.int64)
-                        grown[:n] = found
-                        found = grown
-                    found[n] = t
-                    n += 1
-    return found[:n]
-
-
-def frames(corners: NDArray[np.float64]) -> tuple[Any, ...]:
-    """Outward unit normals, areas, middles and radii of the triangles."""
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    double = np.linalg.norm(normal, axis=1)
-    normal /= np.maximum(double, 1e-300)[:, None]
-    centre = corners.mean(axis=1)
-    radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
-    return normal, 0.5 * double, centre, radius
-
-
 # --- signed distance --------------------------------------------------------------------------
 
 
 def signed_distance(
-    points: NDArray[np.float64], surface: Surface, reach: float
+    points: NDArray[np.float64], surface: Surface, reach: float | NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Depth of each point below the surface (negative in the liquid), and the way to go deeper.
 
@@ -255,7 +141,7 @@ def signed_distance(
         m.
     surface : Surface
         In 3D.
-    reach : float
+    reach : float or (n,) array
         m; points that are farther from the surface get NaN.
 
     Returns
@@ -270,15 +156,12 @@ def signed_distance(
     points = checked_points(points, surface)
     if surface.dimension != 3:
         raise ValueError(f"surface: {surface.dimension} dimensions; signed distances need 3")
-    corners = surface.vertices[surface.facets] / reach
-    points = points / reach
-    finder = Finder(corners, 1.0)
-    order, starts = finder.group(points)
-    depth, inward = np.empty(len(points)), np.zeros((len(points), 3))
-    grouped = (np.ascontiguousarray(points[order]), starts, corners, *frames(corners))
-    arguments: tuple[Any, ...] = (*grouped, surface.pseudo_normals, *finder.grid)
-    depth[order], inward[order] = _nearest(*arguments)
-    return depth * reach, inward
+    tree = surface.tree
+    reach = np.ascontiguousarray(np.broadcast_to(np.asarray(reach, float), len(points)))
+    return _nearest(
+        np.ascontiguousarray(points), reach, tree.corners, tree.normal, tree.number,
+        surface.pseudo_normals, tree.first, tree.last, tree.low, tree.high,
+    )  # fmt: skip
 
 
 @njit(cache=True, inline="always")
@@ -332,63 +215,62 @@ def _closest(a: Triple, b: Triple, c: Triple, x: Triple) -> tuple[Triple, int]:
     return _on(_on(a, vb * scale, ab), vc * scale, ac), 0
 
 
+@njit(cache=True, inline="always")
+def _gap(low: Array, high: Array, k: int, x: Triple) -> float:
+    """Squared distance of a point from a node's box."""
+    total = 0.0
+    for a in range(3):
+        off = max(low[k, a] - x[a], x[a] - high[k, a], 0.0)
+        total += off * off
+    return total
+
+
 @njit(cache=True, parallel=True)
 def _nearest(
     points: Array,
-    groups: Array,
+    reach: Array,
     corners: Array,
     normal: Array,
-    area: Array,
-    centre: Array,
-    radius: Array,
+    number: Array,
     pseudo: Array,
-    starts: Array,
-    items: Array,
     first: Array,
-    lower: Array,
-    cell: float,
-    shape: Array,
-    reach: float,
+    last: Array,
+    low: Array,
+    high: Array,
 ) -> tuple[Array, Array]:
     depth, inward = np.full(len(points), np.nan), np.zeros((len(points), 3))
-    for group in prange(len(groups) - 1):
-        begin, end = groups[group], groups[group + 1]
-        box_low, box_high = points[begin].copy(), points[begin].copy()
-        for i in range(begin, end):
-            for a in range(3):
-                box_low[a] = min(box_low[a], points[i, a])
-                box_high[a] = max(box_high[a], points[i, a])
-        near = in_reach(
-            box_low, box_high, centre, radius, starts, items, first, lower, cell, shape, reach
-        )
-        last = -1  # the triangle nearest to the point before, which is close by
-        for i in range(begin, end):
-            x = (points[i, 0], points[i, 1], points[i, 2])
-            best, nearest, feature = reach, -1, 0
-            y = x
-            if last >= 0:
-                tried, part = _closest(*_corners(corners, last), x)
-                distance = math.sqrt(_dot(_less(tried, x), _less(tried, x)))
-                if distance < best:
-                    best, nearest, feature, y = distance, last, part, tried
-            for t in near:
-                gx, gy, gz = centre[t, 0] - x[0], centre[t, 1] - x[1], centre[t, 2] - x[2]
-                limit = best + radius[t]
-                if t == last or gx * gx + gy * gy + gz * gz > limit * limit:
-                    continue
-                tried, part = _closest(*_corners(corners, t), x)
-                distance = math.sqrt(_dot(_less(tried, x), _less(tried, x)))
-                if distance < best:
-                    best, nearest, feature, y = distance, t, part, tried
-            last = nearest
-            if nearest < 0:
+    leaves = first.size // 2
+    for i in prange(len(points)):
+        x = (points[i, 0], points[i, 1], points[i, 2])
+        least = reach[i] * reach[i]
+        nearest, feature, y = -1, 0, x
+        waiting, gaps = np.empty(64, np.int64), np.empty(64)
+        waiting[0], gaps[0], count = 1, _gap(low, high, 1, x), 1
+        while count:
+            count -= 1
+            k = waiting[count]
+            if gaps[count] >= least:
                 continue
-            away = _less(y, x)
-            normals = pseudo[nearest, feature]
-            inside = _dot(away, (normals[0], normals[1], normals[2])) >= 0.0
-            depth[i] = best if inside else -best
-            for k in range(3):
-                inward[i, k] = -normal[nearest, k]
-                if best > 1e-12:
-                    inward[i, k] = (-away[k] if inside else away[k]) / best
+            if k >= leaves:
+                for t in range(first[k], last[k]):
+                    tried, part = _closest(*_corners(corners, t), x)
+                    away = _less(tried, x)
+                    if _dot(away, away) < least:
+                        least, nearest, feature, y = _dot(away, away), t, part, tried
+                continue
+            one, two = _gap(low, high, 2 * k, x), _gap(low, high, 2 * k + 1, x)
+            closer = 0 if one < two else 1  # to be looked at first, so put down last
+            waiting[count], gaps[count] = 2 * k + 1 - closer, max(one, two)
+            waiting[count + 1], gaps[count + 1] = 2 * k + closer, min(one, two)
+            count += 2
+        if nearest < 0:
+            continue
+        away, best = _less(y, x), math.sqrt(least)
+        normals = pseudo[number[nearest], feature]
+        inside = _dot(away, (normals[0], normals[1], normals[2])) >= 0.0
+        depth[i] = best if inside else -best
+        for a in range(3):
+            inward[i, a] = -normal[nearest, a]
+            if best > 1e-12 * reach[i]:
+                inward[i, a] = (-away[a] if inside else away[a]) / best
     return depth, inward

@@ -110,9 +110,8 @@ def _place(lattice: Lattice) -> tuple:
         (lambda: of_box((1.6e-3, 1.2e-3, 0.22e-3)), 2, 0.5, 3, 5e-3),
         pytest.param(of_torus, 2, 0.5, 3, 2e-3, marks=pytest.mark.slow),
         pytest.param(of_ball, 3, 0.5, 3, 1e-3, marks=pytest.mark.slow),
-        # Edges and thin walls are sampled finer than the estimate knows: it is too careful there.
-        (lambda: of_box((1e-3, 1e-3, 1e-3)), 2, 0.5, 10, 1e-3),
-        (lambda: of_box((1.6e-3, 1.2e-3, 20e-6)), 2, 0.5, 10, 1e-2),
+        (lambda: of_box((1e-3, 1e-3, 1e-3)), 2, 0.5, 3, 1e-3),
+        (lambda: of_box((1.6e-3, 1.2e-3, 20e-6)), 2, 0.5, 3, 1e-2),
     ],
     ids=["ball", "plate", "torus", "ball, finer", "cube", "thin plate"],
 )
