@@ -88,6 +88,27 @@ def test_a_potential_that_is_kept_changes_little():
     assert abs(kept.history["faraday_error"]).max() < 1e-12
 
 
+def test_a_potential_that_is_needed_in_the_end_is_computed_after_all():
+    """A gap of a spacing is even; once it has grown to ten the liquid resists."""
+    lattice = Lattice((0.5 * H,), (H,), (20,))
+    x = lattice.axis(0)
+    metals = (
+        Metal("anode", x < 12 * H, LinearPolarization(-1.0, 1.0), 7e4, 2.0),
+        Metal("cathode", x > 13 * H, LinearPolarization(0.0, 3.0)),
+    )
+    scene = GalvanicScene(lattice, 2 * H, metals, 2.0)
+    metal, flux = 7e4 * 10 * H, 0.25 / (2 * 96485.33)
+    found, omissions = corrode_lean(scene, [metal / flux], Renewal(0.5))
+    assert by_name(couple_omissions(scene))["potential"].bound < 1e-3
+    said = by_name(omissions)["potential"]
+    assert not said.applied and "off at the end" in said.reason
+    # 1 V over both surfaces and ten spacings of liquid
+    assert found.history["current_anode"][-1] == pytest.approx(1 / (4 + 11 * H / 2.0), rel=1e-3)
+    half, kept = corrode_lean(scene, [0.1 * metal / flux], Renewal(0.5))
+    assert by_name(kept)["potential"].applied
+    assert half.history["current_anode"][-1] == pytest.approx(1 / (4 + 2 * H / 2.0), rel=1e-3)
+
+
 def test_refusals():
     scene = couple(1.0, *LAWS[0])
     with pytest.raises(ValueError, match="known: potential, kinetics, renewal"):
