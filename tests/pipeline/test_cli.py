@@ -7,6 +7,7 @@ import pytest
 
 import perilife_data
 from pipeline.record import machine
+from pipeline.scene.resolution import RESOLUTIONS
 from pipeline.stages.sizes import with_fitting_spacing
 from tests.pipeline.command_line import COARSE, PIN, SCENE, changed, refused, scene_of
 
@@ -47,7 +48,7 @@ from tests.pipeline.command_line import COARSE, PIN, SCENE, changed, refused, sc
         (changed("--spacing", "100"), ["spacing '100'", "100um"]),
         (changed("--spacing", "100furlong"), ["100furlong", "m, cm, mm, um, nm, inch"]),
         (changed("--horizon", "50um"), ["horizon is 50 um", "1 to 8"]),
-        (changed("--radial-margin", "100um"), ["radial margin is 100 um", "300 um"]),
+        (changed("--radial-margin", "100um"), ["radial margin is 100 um", "266.7 um"]),
         (changed("--step", "0s"), ["step is 0.0", "above 0"]),
         (changed("--rate-change", "2"), ["rate change is 2.0"]),
         (changed("--diameter=-2mm"), ["diameter '-2mm' is negative"]),
@@ -200,7 +201,7 @@ def test_a_poisson_ratio_of_one_half_in_an_own_alloy_is_refused(tmp_path, capsys
 
 
 def test_the_spacing_that_a_refusal_offers_will_do_and_auto_takes_it(capsys):
-    for pitch, offered in (("0.4mm", "100um"), ("0.31mm", "77.5um"), ("0.2222mm", "55.5um")):
+    for pitch, offered in (("0.25mm", "62.5um"), ("0.24mm", "60um"), ("0.2222mm", "55.5um")):
         screw = ["--alloy", "Mg-5Gd", "--immersion", "8w", "--pitch", pitch]
         message = refused(capsys, ["plan", *screw, "--spacing", "120um"], "--spacing auto")
         assert f"(--spacing {offered}, or" in message
@@ -215,6 +216,7 @@ def test_auto_looks_for_the_smallest_feature_of_a_solid_from_a_file(tmp_path, ca
     path.write_text(_solid(_tetrahedron()))
     scene = ["--alloy", "Mg-5Gd", "--immersion", "8w", "--solid", str(path), "--spacing", "auto"]
     found, solid = with_fitting_spacing(scene_of(scene))
-    assert solid.smallest_feature > 0.2e-3 and found.lattice.spacing == 100e-6
+    preset = RESOLUTIONS["quick"]
+    assert solid.smallest_feature > 0.2e-3 and found.lattice.spacing == preset.spacing
     small = [*scene, "--unit", "um"]
     refused(capsys, ["plan", *small], "smallest feature", "at most 8 of them (--horizon")
