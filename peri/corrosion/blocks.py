@@ -10,7 +10,7 @@ from peri.corrosion.scene import CorrosionScene
 from peri.engine.lattice import Lattice
 from peri.engine.processes import OneProcess
 
-_ARRAYS = ("metal", "domain", "metal_fraction", "phase")
+_ARRAYS = ("metal", "domain", "liquid", "metal_fraction", "phase", "renewed")
 
 
 def block_scene(scene: CorrosionScene | None, processes: OneProcess) -> CorrosionScene:
@@ -26,9 +26,9 @@ def block_scene(scene: CorrosionScene | None, processes: OneProcess) -> Corrosio
     whole: dict[str, np.ndarray] = {}
     processes.on_root(lambda: whole.update(
         metal=scene.metal, domain=scene.domain, cell_capacity=scene.capacity(),
-        held=scene.refreshed(), phase=scene.phases(),
+        held=scene.refreshed(), phase=scene.phases(), liquid=scene.start_liquid(),
     ))  # fmt: skip
-    names = ("metal", "domain", "cell_capacity", "held", "phase")
+    names = ("metal", "domain", "cell_capacity", "held", "phase", "liquid")
     mine = {name: processes.scatter(whole.pop(name, None)) for name in names}
     block = Lattice(tuple(origin), lattice.spacing, processes.block_shape)
     return _BlockScene(lattice=block, **common, **mine)

@@ -27,7 +27,7 @@ class Exposed:
     (the mean over its bonds to liquid).  potential : metal minus liquid, V.  age : s since the
     node was exposed.  ph, chloride, magnesium and inhibitor (totals, mol/m^3) : of the liquid that
     a node sees where its ions are followed.  layer : thickness of the minerals on a node, m.  What
-    a law does not need may be missing.
+    a law does not need may be missing.  lost : share of a node's own metal that is gone, 0..1.
     """
 
     volume_loss: float | np.ndarray = 0.0
@@ -40,6 +40,7 @@ class Exposed:
     magnesium: np.ndarray | float | None = None
     inhibitor: np.ndarray | float | None = None
     layer: np.ndarray | float | None = None
+    lost: np.ndarray | None = None
 
 
 QUANTITIES = tuple(f.name for f in fields(Exposed))

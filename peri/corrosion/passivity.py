@@ -79,3 +79,45 @@ class Repassivation(Kinetics):
         above = self._above(at)
         on_ramp = (above > 0) & (above < 1)
         return np.where(on_ramp, (1.0 - self.passive_share) / self.width, 0.0)
+
+
+@dataclass(frozen=True)
+class Rupture(Repassivation):
+    """Repassivation whose film breaks for good where the metal below it is nearly gone.
+
+    A node under a film that stands dissolves from below, by the liquid of the pit that has
+    undermined it.  When it has lost the share d_r of its metal, the film breaks and the rate rises
+    to 1 whatever the liquid, over a ramp of width w_d: the larger of both ramps counts.  What a
+    node has lost only grows, so a broken film stays broken; as with the concentration there is a
+    ramp and no switch, so that the result does not depend on the step.
+
+    Parameters
+    ----------
+    rupture : float
+        d_r, above 0; d_r + w_d at most 1.
+    rupture_width : float
+        w_d, > 0.
+    """
+
+    needs = frozenset({"concentration", "lost"})
+
+    rupture: float = 0.5
+    rupture_width: float = 0.05
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("rupture", "rupture_width"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise ValueError(f"{name}: {value}; it must be finite and positive")
+        if not self.rupture + self.rupture_width <= 1 + 1e-12:
+            raise ValueError(
+                f"rupture: {self.rupture}; with its width of {self.rupture_width} it must be at "
+                "most 1, all of a node's metal"
+            )
+
+    def rate(self, at: Exposed) -> float | np.ndarray:
+        """From p to 1 by the concentration that a node sees and by what it has lost."""
+        broken = np.clip((np.asarray(at.lost) - self.rupture) / self.rupture_width, 0.0, 1.0)
+        active = np.maximum(np.clip(self._above(at), 0.0, 1.0), broken)
+        return self.passive_share + (1.0 - self.passive_share) * active

@@ -12,6 +12,7 @@ from peri.corrosion.blocks import block_scene
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.operators import NonlocalSum
 from peri.engine.processes import ONE_PROCESS, OneProcess
+from peri.engine.walls import Walls
 
 
 class Phases:
@@ -28,8 +29,9 @@ class Phases:
     without metal), and on the lattice for the box's rows only.  capacity : relative volume of
     each cell.  metal, fixed, free : bool, nodes that are metal, held at zero, and unknown liquid.
     largest_sum : of the bonds of a node to liquid, 1/m^2.
-    solid : uint8, which of the scene's solids (from 1) a node was at the start.  box_* : the same
-    on the box.
+    walls : conduction along walls, or None.  solid : uint8, which of the scene's solids (from 1) a
+    node was at the start.  box_* : the same on the box; box_seen_liquid : sum of a node's interface
+    bonds to liquid.
     """
 
     def __init__(self, scene: CorrosionScene | None, processes: OneProcess = ONE_PROCESS) -> None:
@@ -46,6 +48,9 @@ class Phases:
         self.initial_metal = self.metal.copy()
         self.solid = self.sum.pad(scene.phases()).astype(np.uint8)
         self._rates: tuple[float, float] | None = None
+        if scene.walls and not processes.whole:
+            raise ValueError("walls: their conduction is computed in one process, not on ranks")
+        self.walls = Walls(self.sum) if scene.walls else None
         self._make_box()
         self.update_phase()
 
@@ -85,7 +90,7 @@ class Phases:
         self.window = tuple(padded)
         shape = tuple(w.stop - w.start for w in window)[3 - self.sum.stencil.dimension :]
         self.box = NonlocalSum(
-            self.sum.stencil, shape, processes=self.processes, window=tuple(window)
+            self.scene.interface_stencil, shape, processes=self.processes, window=tuple(window)
         )
         # Like `sum`, but on the rows of the box only.
         rows = np.zeros(self.sum.shape, bool)
@@ -114,6 +119,9 @@ class Phases:
         self.neighbour_liquid = self.sum(self.liquid_volume)
         self.largest_sum = self.processes.largest(float(self.neighbour_liquid.max()))
         self._rates = None
+        if self.walls is not None:
+            volume = self.sum.crop(self.liquid_volume)
+            self.walls.update(volume, self.scene.liquid_diffusivity * volume)
         if self.box is not None:
             self.box_metal = self.take(self.metal) > 0
             self.box_phase = np.where(self.box_metal, self.take(self.solid), 0).astype(np.uint8)
@@ -121,6 +129,9 @@ class Phases:
             self.box_liquid_volume = self.take(self.liquid_volume)
             self.box_free_volume = self.take(self.free_volume)
             self.box_neighbour_liquid = self.take(self.neighbour_liquid)
+            self.box_seen_liquid = self.box_neighbour_liquid
+            if self.box.stencil is not self.sum.stencil:
+                self.box_seen_liquid = self.box(self.box_liquid_volume)
 
     def dissolve(self, gone: np.ndarray | None) -> int:
         """Turn metal nodes into liquid; returns how many (over all processes)."""

@@ -10,13 +10,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from peri.corrosion.choices import BOUNDARIES, CLASS_LAWS, FLUX_CALIBRATIONS, SATURATION_MODELS
+from peri.corrosion.choices import (
+    BOUNDARIES,
+    CLASS_LAWS,
+    DETACHED,
+    FLUX_CALIBRATIONS,
+    SATURATION_MODELS,
+)
 from peri.corrosion.coating import Coating
 from peri.corrosion.kinetics import QUANTITIES, ConstantRate, Kinetics
 from peri.corrosion.laws import InterfaceLaw, interface_law
 from peri.corrosion.metal.solids import Solid
 from peri.engine.cells import hand_over
-from peri.engine.influence import Stencil, closed_strength, diffusion_stencil
+from peri.engine.influence import Stencil, closed_strength, diffusion_stencil, front_stencil
 from peri.engine.lattice import Lattice
 
 if TYPE_CHECKING:
@@ -36,12 +42,19 @@ class CorrosionScene:
         Nodes that are metal at the start.
     domain : bool array, optional
         Nodes that exist (default: all); the rest of the box is empty.
+    liquid : float array of the lattice's shape, optional
+        Concentration that liquid nodes begin with, mol/m^3, from 0 to C_sat (default: 0).
     metal_fraction : float array, optional
         Share of each cell that is metal, 0..1.  Cells then count with their true volume (see
         `capacity`); without it every cell counts fully.
     boundary : {"refreshed", "no_flux"}
         "refreshed": liquid nodes within the horizon of the domain's edge are held at zero
         concentration.  "no_flux": nothing crosses the edge.
+    renewed : bool array of the lattice's shape, optional
+        With "refreshed": the liquid nodes that are held at zero in the place of those at the edge.
+    walls : bool
+        Whether the liquid conducts beside walls as elsewhere (engine.walls); without it a layer of
+        a horizon's width conducts less, which counts in gaps of a few horizons.
     solid_concentration, saturation_concentration : float
         C_solid and C_sat, mol/m^3, 0 < C_sat < C_solid.
     liquid_diffusivity : float
@@ -52,14 +65,20 @@ class CorrosionScene:
         the flux i_0/(zF) of a flat front at zero volume loss into clean liquid, mol/(m^2 s), from
         which D_int follows for the stencil in use: flux = D_int C_solid S, S the stencil's
         front strength, so that lattice and horizon do not change the rate.
-    flux_calibration : {"isotropic", "axis"}
+    flux_calibration : {"isotropic", "axis", "every_axis"}
         S as the mean over all orientations of the front (for bodies), or of a front along the
-        lattice's axes (exact for a flat front that lies so).
+        lattice's axes (exact for a flat front that lies so).  "every_axis": bonds of their own
+        across the interface, of the same strength along every axis (influence.front_stencil); on a
+        stretched lattice those of diffusion differ by an order.
     dissolution : {"proportional", "faradaic"} or InterfaceLaw
         What an interface bond carries: D_int w (C_i - C_j), or the flux of Faraday's law,
         D_int w C_solid, until its metal node is empty (corrosion.laws).  A word becomes its law.
     kinetics : Kinetics
         How fast the interface dissolves; see corrosion.kinetics.
+    detached : {"keep", "dissolve"}
+        Metal that corrosion has cut off from the largest piece of what it belonged to: it goes on
+        dissolving where it is, or turns liquid at once, up to C_sat in the liquid nearest to it;
+        the rest leaves as debris (with what is released).  Cells then count fully.
     coating : Coating, optional
         What holds every interface back until it is gone, with any kinetics.
     kernel_exponent, influence, calibration :
@@ -83,8 +102,11 @@ class CorrosionScene:
     horizon: float | tuple[float, ...]
     metal: np.ndarray = field(repr=False)
     domain: np.ndarray | None = field(default=None, repr=False)
+    liquid: np.ndarray | None = field(default=None, repr=False)
     metal_fraction: np.ndarray | None = field(default=None, repr=False)
     boundary: str = "refreshed"
+    renewed: np.ndarray | None = field(default=None, repr=False)
+    walls: bool = False
     solid_concentration: float = 1.0
     saturation_concentration: float = 0.5
     liquid_diffusivity: float = 1e-9
@@ -101,6 +123,7 @@ class CorrosionScene:
     solids: tuple[Solid, ...] = ()
     phase: np.ndarray | None = field(default=None, repr=False)
     coating: Coating | None = None
+    detached: str = "keep"
 
     def __post_init__(self) -> None:
         shape = self.lattice.shape
@@ -111,6 +134,8 @@ class CorrosionScene:
         object.__setattr__(self, "domain", domain)
         if np.any(self.metal & ~domain):
             raise ValueError("metal: it must lie inside the domain")
+        if self.detached == "dissolve" and self.metal_fraction is not None:
+            raise ValueError("detached: 'dissolve' with metal_fraction; its cells count fully")
         if self.metal_fraction is not None:
             fraction = self.metal_fraction
             if fraction.shape != shape or not (fraction.min() >= 0 and fraction.max() <= 1):
@@ -120,6 +145,7 @@ class CorrosionScene:
             ("boundary", BOUNDARIES),
             ("saturation", SATURATION_MODELS),
             ("flux_calibration", FLUX_CALIBRATIONS),
+            ("detached", DETACHED),
         ):
             if getattr(self, name) not in allowed:
                 raise ValueError(f"{name}: {getattr(self, name)!r}; allowed: {', '.join(allowed)}")
@@ -140,6 +166,7 @@ class CorrosionScene:
                 f"solid_concentration {self.solid_concentration} mol/m3"
             )
         self._check_solids()
+        self._check_liquid()
         if (self.interface_diffusivity is None) == (self.dissolution_flux is None):
             raise ValueError("interface_diffusivity, dissolution_flux: give exactly one of them")
         for name in ("interface_diffusivity", "dissolution_flux"):
@@ -148,12 +175,29 @@ class CorrosionScene:
                 raise ValueError(f"{name}: {value}; it must be finite and not negative")
         if self.exposure is not None:
             self._check_exposure()
+        if self.flux_calibration == "every_axis" and self.dissolution_flux is None:
+            raise ValueError(
+                "flux_calibration: 'every_axis' calibrates a dissolution_flux; give it"
+            )
         object.__setattr__(self, "_stencil", self._make_stencil())
+        bonds = self._stencil
+        if self.flux_calibration == "every_axis":
+            bonds = front_stencil(self.lattice, self.horizon, self.kernel_exponent, self.influence)
+        object.__setattr__(self, "_interface_stencil", bonds)
 
     def _check_exposure(self) -> None:
         """What rate classes do not have is refused by name."""
         law = self.dissolution.name
         bounds = ("complementarity", "none") if law == "faradaic" else ("complementarity",)
+        for name, there in (
+            ("liquid", self.liquid is not None),
+            ("renewed", self.renewed is not None),
+            ("walls", self.walls),
+            ("detached 'dissolve'", self.detached == "dissolve"),
+            ("flux_calibration 'every_axis'", self.flux_calibration == "every_axis"),
+        ):
+            if there:
+                raise ValueError(f"{name}: given with rate classes, which do not have it")
         for name, given, allowed in (
             ("dissolution", law, CLASS_LAWS),
             ("saturation", self.saturation, bounds),
@@ -181,6 +225,26 @@ class CorrosionScene:
                 "metal: with rate classes it must be the cells that hold metal, "
                 "exposure.metal.fraction > 0"
             )
+
+    def _check_liquid(self) -> None:
+        shape, most = self.lattice.shape, self.saturation_concentration
+        if self.liquid is not None:
+            there = self.domain & ~self.metal
+            if self.liquid.shape != shape:
+                raise ValueError(f"liquid: {self.liquid.shape}; the lattice has {shape}")
+            start = self.liquid[there]
+            if not (start.min(initial=0.0) >= 0 and start.max(initial=0.0) <= most):
+                raise ValueError(
+                    f"liquid: {start.min()} to {start.max()} mol/m^3; it must be from 0 to the "
+                    f"saturation_concentration of {most} mol/m^3"
+                )
+        if self.renewed is not None:
+            if self.renewed.shape != shape or self.renewed.dtype != bool:
+                raise ValueError(
+                    f"renewed: {self.renewed.dtype} {self.renewed.shape}; it must be bool {shape}"
+                )
+            if self.boundary != "refreshed":
+                raise ValueError(f"renewed: given with boundary '{self.boundary}'")
 
     def _check_solids(self) -> None:
         object.__setattr__(self, "solids", self.solids or (Solid(self.solid_concentration),))
@@ -248,6 +312,11 @@ class CorrosionScene:
         """Bond weights of unit diffusivity."""
         return self._stencil
 
+    @property
+    def interface_stencil(self) -> Stencil:
+        """Bond weights across the interface, of unit interface diffusivity."""
+        return self._interface_stencil
+
     def base_interface_diffusivity(self) -> float:
         """D_int at zero volume loss, m^2/s, given or derived from the dissolution flux."""
         if self.interface_diffusivity is not None:
@@ -256,13 +325,15 @@ class CorrosionScene:
             strength = closed_strength(self.horizon, self.kernel_exponent, self.influence)
             return self.dissolution_flux / (self.solid_concentration * strength)
         return self.dissolution_flux / (
-            self.solid_concentration * front_strength(self.stencil, self.flux_calibration)
+            self.solid_concentration * front_strength(self.interface_stencil, self.flux_calibration)
         )
 
     def refreshed(self) -> np.ndarray:
-        """Liquid nodes held at zero: those within the horizon of the domain's edge."""
+        """Liquid nodes held at zero: those within the horizon of the domain's edge, or named."""
         if self.boundary == "no_flux":
             return np.zeros(self.lattice.shape, bool)
+        if self.renewed is not None:
+            return self.renewed & self.domain & ~self.metal
         from scipy.ndimage import distance_transform_edt
 
         padded = np.pad(self.domain, 1)
@@ -271,6 +342,12 @@ class CorrosionScene:
         # A node's distance to the first missing node is its distance to the edge plus h/2.
         width = np.max(self.horizon) + 0.5 * min(self.lattice.spacing)
         return self.domain & ~self.metal & (depth < width * (1 - 1e-9))
+
+    def start_liquid(self) -> np.ndarray:
+        """Concentration of the liquid at the start, mol/m^3; 0 off it and where it is held."""
+        if self.liquid is None:
+            return np.zeros(self.lattice.shape)
+        return np.where(self.domain & ~self.metal & ~self.refreshed(), self.liquid, 0.0)
 
     def capacity(self) -> np.ndarray:
         """Volume of each cell relative to the lattice's, by the phase of its node.

@@ -96,8 +96,9 @@ class GalvanicScene:
     horizon : float or one per axis
         m.
     metals : tuple of Metal
-    conductivity : float
-        kappa of the liquid, S/m, > 0.
+    conductivity : float, or float array of the lattice's shape
+        kappa of the liquid, S/m, > 0; of a field also where metal will be liquid.  By the ions of
+        a given concentration: transport.potential.conductivity.
     held : float array of the lattice's shape, optional
         phi of liquid nodes that are held, V; NaN elsewhere.
     calibration : see influence.diffusion_stencil.
@@ -111,7 +112,7 @@ class GalvanicScene:
     lattice: Lattice
     horizon: float | tuple[float, ...]
     metals: tuple[Metal, ...]
-    conductivity: float
+    conductivity: float | np.ndarray
     held: np.ndarray | None = field(default=None, repr=False)
     calibration: str = "discrete"
 
@@ -120,10 +121,11 @@ class GalvanicScene:
         names = [metal.name for metal in self.metals]
         if not names or len(set(names)) < len(names):
             raise ValueError(f"metals: {', '.join(names) or 'none'}; each needs its own name")
-        if not (math.isfinite(self.conductivity) and self.conductivity > 0):
-            raise ValueError(
-                f"conductivity: {self.conductivity} S/m; it must be finite and positive"
-            )
+        kappa = np.asarray(self.conductivity, float)
+        if kappa.ndim and kappa.shape != self.lattice.shape:
+            raise ValueError(f"conductivity: {kappa.shape}; the lattice has {self.lattice.shape}")
+        if not (np.isfinite(kappa).all() and kappa.min() > 0):
+            raise ValueError(f"conductivity: {kappa.min()} S/m; it must be finite and positive")
         taken = np.zeros(self.lattice.shape, np.int64)
         for metal in self.metals:
             if metal.nodes.shape != self.lattice.shape or metal.nodes.dtype != bool:

@@ -16,6 +16,7 @@ import numpy as np
 from peri.engine import kernels
 from peri.engine.multigrid import LocalMultigrid
 from peri.engine.operators import Convolution, LocalCoefficients, NonlocalSum, Operator
+from peri.engine.walls import Walls, WithWalls
 
 log = logging.getLogger(__name__)
 
@@ -259,6 +260,8 @@ class DiffusionSystem(LinearSystem):
         Adds a symmetric positive semidefinite term to y in place and returns its share of u . A u.
     extra_diagonal : padded array, optional
         Diagonal of that term.
+    walls : Walls, optional
+        Conduction along walls that A has, too.
     """
 
     def __init__(
@@ -270,10 +273,14 @@ class DiffusionSystem(LinearSystem):
         sink: np.ndarray,
         extra: Extra | None = None,
         extra_diagonal: np.ndarray | None = None,
+        walls: Walls | None = None,
     ) -> None:
         self.weight, self.diagonal = weight, diagonal
+        operator: Operator = Convolution(
+            bond_sum, weight, diagonal=diagonal, coefficient=diffusivity
+        )
         super().__init__(
-            Convolution(bond_sum, weight, diagonal=diagonal, coefficient=diffusivity),
+            operator if walls is None else WithWalls(operator, walls),
             sink=sink,
             extra=extra,
             extra_diagonal=extra_diagonal,

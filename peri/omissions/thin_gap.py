@@ -134,6 +134,37 @@ class ThinGap:
         return max(widest**2 / (self.diffusivity * time), across)
 
 
+def potential_along(scene: ThinGap, fields: Fields, conductivity: np.ndarray) -> np.ndarray:
+    """The liquid's potential along the gap above that at the mouth, V.
+
+    What a wall's current carries into the gap leaves by the mouth, so that the current of a section
+    is that of all wall behind it: kappa h dphi/dx = int_x^L i dx'.
+
+    Parameters
+    ----------
+    fields : of a state of ThinGapProblem (`gap` and `speed` are used).
+    conductivity : array (n,)
+        kappa, S/m, > 0, such as transport.potential.conductivity gives for the concentrations.
+
+    Raises
+    ------
+    ValueError
+        For conductivities that are not positive.
+    """
+    kappa = np.asarray(conductivity, float)
+    if not (np.isfinite(kappa).all() and kappa.min() > 0):
+        raise ValueError(f"conductivity: {kappa.min()} S/m; it must be finite and positive")
+    cell = scene.length / scene.gap.size
+    current = scene.charge_number * FARADAY * scene.solid_concentration * fields["speed"] * cell
+    behind = np.cumsum(current[::-1])[::-1]  # through the face on the mouth's side of a node
+    half = 0.5 * cell / (kappa * fields["gap"])
+    # From face to face each half of a cell with its own section; half of a node's own current
+    # enters behind its middle.
+    to_middle = half * (behind - 0.25 * current)
+    whole = half * (2.0 * behind - current)
+    return np.cumsum(whole) - whole + to_middle
+
+
 class ThinGapProblem(FirstOrder):
     """The film equation of a ThinGap, to be marched.
 

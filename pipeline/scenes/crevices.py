@@ -14,7 +14,8 @@ from peri.engine.lattice import Lattice
 from peri.engine.march.marching import TimeStepping, march
 from peri.engine.omission import Omission
 from peri.engine.results import Field
-from peri.omissions.thin_gap import COLUMNS, ThinGap, ThinGapProblem
+from peri.omissions.thin_gap import COLUMNS, ThinGap, ThinGapProblem, potential_along
+from peri.transport.potential.conductivity import IonConductivity
 from pipeline.scene.units import format_length
 from pipeline.scenes.keys import TEXT, Given, Key, positive
 from pipeline.scenes.outcome import Curve, Outcome, Panel, Prepared
@@ -63,6 +64,9 @@ KEYS: dict[str, Key] = {
     ),
     "liquid.saturation_concentration": positive("concentration", "C_sat", "5600 mol/m^3"),
     "liquid.diffusivity": positive("diffusivity", "of the metal's ions", "7.2e-10 m^2/s"),
+    "liquid.conductivity": positive(
+        "conductivity", "without the metal's ions: says the drop of the potential", "5 S/m"
+    ),
     "metal.solid_concentration": positive("concentration", "C_solid", "140000 mol/m^3"),
     "metal.charge_number": positive("dimensionless", "z of its ions; no source prints one", 2.5),
     "metal.law": Key(
@@ -126,6 +130,10 @@ def prepare(given: Given) -> Prepared:
         solid_concentration=given.number("metal.solid_concentration"),
         saturation_concentration=most,
     )
+    conducts = None
+    if "liquid.conductivity" in given:
+        medium = given.number("liquid.conductivity")
+        conducts = IonConductivity(medium, scene.charge_number, scene.diffusivity)
     given.left_over()
 
     def reductions(end: float) -> list[Omission]:
@@ -137,11 +145,12 @@ def prepare(given: Given) -> Prepared:
         ]
 
     size = f"{nodes:,} nodes along the gap"
-    return Prepared(given.values, functools.partial(_march, scene), {}, reductions, size)
+    return Prepared(given.values, functools.partial(_march, scene, conducts), {}, reductions, size)
 
 
 def _march(
     scene: ThinGap,
+    conducts: IonConductivity | None,
     times: Sequence[float],
     *,
     checkpoint: Path | None = None,
@@ -179,7 +188,13 @@ def _march(
         Panel("Track of the active site", "time / h", "from the mouth / mm", [site]),
     ]  # fmt: skip
     last = {name: float(values[-1]) for name, values in history.items()}
+    drops = {}
+    if conducts is not None:
+        out = done.outputs[-1]
+        phi = potential_along(scene, out, conducts.of(out["concentration"]))
+        drops["potential of the closed end above the mouth"] = (float(phi[-1]), "V")
     summary = {
+        **drops,
         "area lost": (last["lost"], "m2"),
         "deepest": (last["deepest"], "m"),
         "active site from the mouth": (last["active_site"], "m"),

@@ -16,7 +16,6 @@ long.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
 
 import numpy as np
 
@@ -98,6 +97,11 @@ def _any(emptied: np.ndarray | None) -> bool:
     return emptied is not None and bool(emptied.any())
 
 
+def _over(amount: np.ndarray, whole: np.ndarray) -> np.ndarray:
+    """amount / whole, 0 where there is none."""
+    return np.divide(amount, whole, out=np.zeros_like(amount), where=whole > 0)
+
+
 class FaradaicExchange(Exchange):
     """Metal-liquid exchange of one stage whose bonds carry a given flux.
 
@@ -113,6 +117,14 @@ class FaradaicExchange(Exchange):
 
     couples = False
 
+    def __init__(self, phases: Phases, old: np.ndarray, tau: float) -> None:
+        super().__init__(phases, old, tau)
+        self.open = np.zeros_like(self.old_metal)  # each `set` starts with that of the one before
+        seen = phases.box_seen_liquid
+        self._renewals = tau * phases.scene.liquid_diffusivity * phases.box_neighbour_liquid
+        liquid = np.where(phases.box_metal, 0.0, self.old_metal)
+        self._beside = _over(phases.box(phases.box_liquid_volume * liquid), seen)
+
     def set(self, theta: np.ndarray, rate: float, local: np.ndarray | float = 1.0) -> None:
         """Fix the saturation factors, D_int and the nodes' shares; find when each node is empty."""
         p, scene = self.p, self.p.scene
@@ -121,37 +133,35 @@ class FaradaicExchange(Exchange):
         self.bonds = theta * p.box_liquid_volume
         self.local = local
         drawn = self.tau * self.rate
-        self.open = np.zeros_like(theta)
-        self._sent = self._passed = self._spread = None
+        self._sent = self._passed = self._direct = None
+        to_liquid = p.box(self.bonds)
+        let_in = _over(to_liquid, p.box_seen_liquid)  # mean theta of the liquid that a node sees
         for _ in range(_ROUNDS):
-            demand = drawn * local * p.box(self.bonds + p.box_metal_volume * self.open)
+            demand = drawn * local * (to_liquid + p.box(p.box_metal_volume * self.open))
             short = p.box_metal & (demand > self.old_metal)
             self.on = p.box_metal.astype(float)
             self.on[short] = self.old_metal[short] / demand[short]
             if not p.processes.any(short.any()):
-                self.gained = np.zeros_like(theta)
+                self.gained = self.open = np.zeros_like(theta)
                 break
             inflow = drawn * p.box(p.box_metal_volume * self.on * local)
-            before, self.open = (
-                self.open,
-                self._pass_on(np.where(short, 1.0 - self.on, 0.0), inflow),
-            )
+            left = np.where(short, 1.0 - self.on, 0.0)
+            before, self.open = self.open, self._pass_on(left, inflow, let_in)
             change = float(np.abs(self.open - before).max())
             if p.processes.largest(change) <= _TOLERANCE:
                 break
         self.demand, self.weight = demand, self.on * local
         self.emptied = short
 
-    def _pass_on(self, share: np.ndarray, inflow: np.ndarray) -> np.ndarray:
+    def _pass_on(self, share: np.ndarray, inflow: np.ndarray, let_in: np.ndarray) -> np.ndarray:
         """Of nodes that are liquid for a share of the stage: keep some of it, pass on the rest.
 
-        inflow : what a node would receive in the whole stage, mol/m^3.  Returns `open`.
+        inflow : what a node would receive in the whole stage, mol/m^3.  let_in : share of what it
+        passes on that the liquid takes.  Returns `open`.
         """
         p, scene = self.p, self.p.scene
         gain = share * inflow
-        seen = np.where(share > 0, p.box_neighbour_liquid, 0.0)
-        beside = self._mean_over_bonds(p.box_liquid_volume * self._old_liquid, seen)
-        renewals = share * self.tau * scene.liquid_diffusivity * seen
+        beside, renewals = self._beside, share * self._renewals
         kept = np.minimum(gain, (gain + renewals * beside) / (1.0 + renewals))
         passed = gain - kept
         if scene.saturation == "complementarity":
@@ -159,21 +169,9 @@ class FaradaicExchange(Exchange):
             kept = np.minimum(kept, most)
             passed = np.minimum(passed, renewals * np.maximum(most - beside, 0.0))
         self.gained = kept
-        self._sent = np.divide(passed, gain, out=np.zeros_like(gain), where=gain > 0) * share
-        self._passed = np.divide(passed, seen, out=np.zeros_like(gain), where=seen > 0)
-        self._spread = None
-        carried = self._sent * self._mean_over_bonds(self.bonds, seen)
-        held = np.divide(kept, inflow, out=np.zeros_like(gain), where=inflow > 0)
-        return np.where(inflow > 0, held + carried, share)
-
-    @cached_property
-    def _old_liquid(self) -> np.ndarray:
-        """Concentration of the liquid when the stage begins, mol/m^3."""
-        return np.where(self.p.box_metal, 0.0, self.old_metal)
-
-    def _mean_over_bonds(self, values: np.ndarray, seen: np.ndarray) -> np.ndarray:
-        """Mean over the bonds of a node to liquid (`seen` in sum) of values times volume."""
-        return np.divide(self.p.box(values), seen, out=np.zeros_like(seen), where=seen > 0)
+        self._sent = _over(passed, gain) * share
+        self._passed = _over(passed, p.box_seen_liquid)
+        return np.where(inflow > 0, _over(kept, inflow) + self._sent * let_in, share)
 
     def metal_concentration(self, liquid: np.ndarray) -> np.ndarray:
         """C_i = old_i - tau k sum w c theta, at least 0; the liquid plays no part."""
@@ -200,19 +198,19 @@ class FaradaicExchange(Exchange):
     def to_refreshed(self, metal: np.ndarray) -> np.ndarray:
         """Interface inflow of the box's nodes per relative volume, passed on or not."""
         p = self.p
-        direct = self.rate * p.box(p.box_metal_volume * self.weight)
-        if self._passed is None:
-            return direct
-        if self._spread is None:
-            self._spread = p.box(p.box_metal_volume * self._passed) / self.tau
-        return direct + self._spread
+        if self._direct is None:
+            flux = self.rate * self.weight
+            if self._passed is not None:
+                flux = flux + self._passed / self.tau
+            self._direct = p.box(p.box_metal_volume * flux)
+        return self._direct
 
     def correct(self, metal: np.ndarray, change: np.ndarray, saturated: float) -> np.ndarray:
         """Metal after the flux of the active nodes changed by `change` in theta."""
         p = self.p
         bonds = change * p.box_free_volume
         if self._sent is not None:
-            seen = np.where(self._sent > 0, p.box_neighbour_liquid, 0.0)
-            bonds = bonds + p.box_metal_volume * self._sent * self._mean_over_bonds(bonds, seen)
+            through = _over(p.box(bonds), p.box_seen_liquid)
+            bonds = bonds + p.box_metal_volume * self._sent * through
         flux = self.rate * self.local * p.box(bonds)
         return np.where(self.emptied, 0.0, np.clip(metal - self.tau * flux, 0.0, self.old_metal))

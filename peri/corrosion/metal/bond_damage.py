@@ -27,7 +27,7 @@ from functools import cached_property
 
 import numpy as np
 from numba import njit, prange
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import distance_transform_edt, label
 
 from peri.engine import hashing
 from peri.engine.hashing import term
@@ -246,6 +246,28 @@ class BondDamage:
         pieces = self.pieces(corroded)
         anchored = np.array([1]) if held is None else np.unique(pieces[held])
         return (pieces > 0) & ~np.isin(pieces, anchored[anchored > 0])
+
+
+def cut_off(metal: np.ndarray, left: np.ndarray) -> np.ndarray:
+    """Number (from 1; 0 elsewhere) of each piece of `left` that has been cut off.
+
+    Of each piece of the metal at the start the largest part stays, by its nodes; cells that touch
+    at a face, an edge or a corner hold together.
+
+    metal, left : bool arrays, what was metal at the start and what is.
+    """
+    every_way = np.ones((3,) * metal.ndim, bool)
+    parts, count = label(metal, every_way)
+    pieces, number = label(left, every_way)
+    if number <= count:
+        return np.zeros(metal.shape, int)
+    stays = np.zeros(number + 1, bool)
+    for part in range(1, count + 1):
+        sizes = np.bincount(pieces[parts == part], minlength=number + 1)
+        sizes[0] = 0
+        if sizes.any():
+            stays[sizes.argmax()] = True
+    return np.where(stays[pieces], 0, pieces)
 
 
 def dissolve_islands(

@@ -103,6 +103,8 @@ class Balance:
             return 0.0
         gain = p.sum(p.liquid_volume * liquid)
         rate = p.scene.liquid_diffusivity * float((gain * p.capacity)[p.fixed].sum())
+        if p.walls is not None:
+            rate += float(p.walls.flow(liquid)[p.fixed].sum())
         if exchange is not None and metal is not None:
             fixed = p.take(np.where(p.fixed, p.capacity, 0.0))
             rate += float((exchange.to_refreshed(metal) * fixed).sum())

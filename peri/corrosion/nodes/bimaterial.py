@@ -102,6 +102,9 @@ class BiMaterial(InterfaceRates):
         liquid = np.where(self.metal, 0.0, old)
         gain = self.sum(self.liquid_volume * liquid)
         transport = scene.liquid_diffusivity * (gain - self.neighbour_liquid * liquid)
+        if self.walls is not None:
+            share = np.where(self.free_volume > 0, self.free_volume, np.inf)
+            transport = transport + self.walls.flow(liquid) / share
         new = np.where(self.free, old + step * transport, 0.0)
         theta, metal, state = None, None, None
         if self.box is not None:
@@ -111,7 +114,9 @@ class BiMaterial(InterfaceRates):
                 state.switch_off(np.where(full, self.capacity, 0.0))
             theta = (self.box_liquid_volume > 0).astype(float)
             box_liquid = self.take(liquid)
-            rate, local = self.interface_rate(volume_loss, self.seen_liquid(box_liquid))
+            rate, local = self.interface_rate(
+                volume_loss, self.seen_liquid(box_liquid), self.lost(self.take(old))
+            )
             state.set(theta, rate, local)
             drawn = rate * state.weight * self.box(state.bonds * box_liquid)
             state.hold_back(state.old_metal + step * (drawn - state.outflow * state.old_metal))

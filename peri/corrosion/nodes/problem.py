@@ -7,6 +7,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from peri.corrosion.kinetics import Exposed
+from peri.corrosion.metal.bond_damage import cut_off, dissolve_islands
 from peri.corrosion.nodes import stage as bimaterial_stage
 from peri.corrosion.nodes.bimaterial import BiMaterial
 from peri.corrosion.scene import CorrosionScene
@@ -33,8 +34,8 @@ class CorrosionProblem(FirstOrder):
     after an implicit stage, `theta` (padded box, the saturation factors); `exposed` (padded box,
     s: when a metal node first saw liquid, infinite before) where the kinetics needs an age.
     Numbers:
-    `volume_loss`, `released` (mol), `initial` (metal at the start, mol), `dissolved` (nodes in
-    the last step).
+    `volume_loss`, `released` (mol), `initial` (metal at the start, mol), `start` (liquid's amount
+    then, where there is any, mol), `dissolved` (nodes in the last step).
 
     Parameters
     ----------
@@ -64,7 +65,10 @@ class CorrosionProblem(FirstOrder):
         self.processes, self._whole_scene = processes, scene
         self.discrete = BiMaterial(scene, solver_tolerance, processes)
         self.scene = self.discrete.scene
-        missing = self.scene.needs - {"volume_loss", "phase", "concentration", "age"} - set(given)
+        if self.scene.detached == "dissolve" and not processes.whole:
+            raise ValueError("detached: 'dissolve' is done in one process, not on ranks")
+        known = {"volume_loss", "phase", "concentration", "age", "lost", *given}
+        missing = self.scene.needs - known
         if missing:
             raise ValueError(
                 f"kinetics: it needs {', '.join(sorted(missing))}, which a march of corrosion "
@@ -84,11 +88,13 @@ class CorrosionProblem(FirstOrder):
     # --- states ---------------------------------------------------------------------------
 
     def initial(self) -> State:
-        """Solid metal in clean liquid."""
+        """Solid metal in the liquid of the start."""
         discrete = self.discrete
         concentration = discrete.initial_concentration.copy()
-        metal, _ = discrete.amounts(concentration)
+        metal, liquid = discrete.amounts(concentration)
         numbers = {"volume_loss": 0.0, "released": 0.0, "initial": metal, "dissolved": 0.0}
+        if liquid:
+            numbers["start"] = liquid
         fields = {"concentration": concentration, "metal": discrete.metal}
         if self._ages:
             fields["exposed"] = np.where(self._exposed(), 0.0, np.inf)
@@ -135,6 +141,8 @@ class CorrosionProblem(FirstOrder):
         law.check(self.discrete, concentration, state.time)
         gone = law.gone(self.discrete, concentration, stages[-1].extra.emptied)
         dissolved = self.discrete.dissolve(gone)
+        if dissolved and self.scene.detached == "dissolve":
+            dissolved += self._dissolve_islands(state)
         state.fields["metal"] = self.discrete.metal
         state.numbers["dissolved"] = dissolved
         if self._ages and dissolved:
@@ -142,12 +150,29 @@ class CorrosionProblem(FirstOrder):
             state.fields["exposed"] = np.where(new, state.time, state.fields["exposed"])
         state.numbers["volume_loss"] = self.discrete.volume_loss(concentration)
 
+    def _dissolve_islands(self, state: State) -> int:
+        """Metal that is cut off turns liquid; returns the nodes.
+
+        What the liquid has no room for below C_sat leaves as debris, with what is released.
+        """
+        discrete, scene = self.discrete, self.scene
+        islands = cut_off(scene.metal, discrete.sum.crop(discrete.metal) > 0)
+        if not islands.any():
+            return 0
+        field = discrete.sum.crop(state.fields["concentration"])
+        liquid = discrete.sum.crop(discrete.free) > 0
+        field, left = dissolve_islands(field, islands, liquid, scene.saturation_concentration)
+        state.fields["concentration"] = discrete.sum.pad(field)
+        state.numbers["released"] += left * scene.lattice.cell_volume
+        return discrete.dissolve(discrete.sum.pad(islands > 0) > 0)
+
     def row(self, state: State) -> tuple[float, ...]:
         """Amounts and their balance, nodes held at C_sat, nodes dissolved."""
         numbers, theta = state.numbers, state.fields.get("theta")
         metal, liquid = self.discrete.amounts(state.fields["concentration"])
         initial = numbers["initial"]
-        error = (metal + liquid + numbers["released"] - initial) / initial if initial else 0.0
+        scale = initial + numbers.get("start", 0.0)
+        error = (metal + liquid + numbers["released"] - scale) / scale if scale else 0.0
         saturated = 0
         if theta is not None:
             held = (theta < 1.0) & (self.discrete.box_free_volume > 0)

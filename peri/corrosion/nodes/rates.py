@@ -35,6 +35,7 @@ class InterfaceRates(Phases):
         super().__init__(scene, processes)
         self.tolerance = solver_tolerance
         self.initial_concentration = self.of_solids([s.concentration for s in self.scene.solids])
+        self.initial_concentration += self.sum.pad(self.scene.start_liquid())
         self.balance = Balance(self)
         self.base_diffusivity = self.scene.base_interface_diffusivity()
         self.surface: dict[str, np.ndarray | float] = {}
@@ -56,11 +57,15 @@ class InterfaceRates(Phases):
         if self._rates is None or not self.scene.one_rate:
             liquid = np.where(self.free, self.neighbour_liquid, 0.0)
             rates, in_metal = liquid * self.scene.liquid_diffusivity, 0.0
+            if self.walls is not None:
+                share = np.where(self.free_volume > 0, self.free_volume, np.inf)
+                rates = rates + self.walls.diagonal / share
             if self.box is not None:
-                known = None
+                known, gone = None, None
                 if concentration is not None:
                     known = self.seen_liquid(self.take(np.where(self.metal, 0.0, concentration)))
-                g, local = self.interface_rate(0.0, known)
+                    gone = self.lost(self.take(concentration))
+                g, local = self.interface_rate(0.0, known, gone)
                 metal = self.box(self.box_metal_volume * local)
                 seen = np.where(self.box_free_volume > 0, metal, 0.0)
                 rates[self.window] += (g * seen)[self.box.interior]
@@ -77,16 +82,31 @@ class InterfaceRates(Phases):
         """
         if "concentration" not in self.scene.needs:
             return None
-        inflow, bonds = self.box(self.box_liquid_volume * liquid), self.box_neighbour_liquid
+        inflow, bonds = self.box(self.box_liquid_volume * liquid), self.box_seen_liquid
         seeing = self.box_metal & (bonds > 0)
         return np.divide(inflow, bonds, out=np.zeros_like(bonds), where=seeing)
 
+    def lost(self, metal: np.ndarray) -> np.ndarray | None:
+        """Share of each metal node that is gone, where laws look at it; 0 off the metal.
+
+        metal : concentrations, padded box array.
+        """
+        if "lost" not in self.scene.needs:
+            return None
+        whole = self.take(self.initial_concentration)
+        gone = np.divide(whole - metal, whole, out=np.zeros_like(whole), where=self.box_metal)
+        return np.clip(gone, 0.0, 1.0)
+
     def interface_rate(
-        self, volume_loss: float, seen_liquid: np.ndarray | None = None
+        self,
+        volume_loss: float,
+        seen_liquid: np.ndarray | None = None,
+        lost: np.ndarray | None = None,
     ) -> tuple[float, np.ndarray | float]:
         """The interface diffusivity, m^2/s, and each metal node's share of it (or 1 for all).
 
-        seen_liquid : as `seen_liquid` gives it (None: clean liquid).
+        seen_liquid, lost : as the methods of these names give them (None: clean liquid, all metal
+        there).
         """
         scene = self.scene
         if scene.one_rate:
@@ -95,6 +115,7 @@ class InterfaceRates(Phases):
         seen["concentration"] = np.zeros(self.box.padded_shape)
         if seen_liquid is not None:
             seen["concentration"] = seen_liquid
+        seen["lost"] = np.zeros(self.box.padded_shape) if lost is None else lost
         at = Exposed(volume_loss, **{name: seen[name] for name in scene.needs if name in seen})
         share = np.zeros(self.box.padded_shape)
         for number, solid in enumerate(scene.solids, 1):

@@ -88,12 +88,15 @@ class StageSolver:
         if d.scene.saturation != "complementarity":
             theta = None
         held = _Held(self, right, exchange, theta)
-        iterations, rounds, settled, seen = 0, 0, False, FixedPoint(d.processes)
+        iterations, rounds, settled = 0, 0, False
+        seen, worn, metal = FixedPoint(d.processes), FixedPoint(d.processes), d.take(guess)
         while rounds < _MAXIMUM_ROUNDS:
             rounds += 1
             liquid = d.take(y)
-            guessed, drift = seen.settle(d.seen_liquid(liquid))
-            volume_loss = self._settle_rate(exchange, held.theta, volume_loss, liquid, guessed)
+            known, drift = seen.settle(d.seen_liquid(liquid))
+            gone, wear = worn.settle(d.lost(metal))
+            drift = max(drift, wear)
+            volume_loss = self._settle_rate(exchange, held.theta, volume_loss, liquid, known, gone)
             view = y[d.window]
             view[held.active[d.box.interior]] = saturated
             count, solved = self._solve_liquid(y, right, exchange, held.active)
@@ -139,6 +142,7 @@ class StageSolver:
         volume_loss: float,
         liquid: np.ndarray,
         seen_liquid: np.ndarray | None,
+        lost: np.ndarray | None,
     ) -> float:
         """V_L that agrees with the rate it causes, for given liquid concentrations.
 
@@ -149,7 +153,7 @@ class StageSolver:
         d, low, high = self.d, 0.0, 1.0
         last: tuple[float, float] | None = None
         for _ in range(_MAXIMUM_ROUNDS):
-            exchange.set(theta, *d.interface_rate(volume_loss, seen_liquid))
+            exchange.set(theta, *d.interface_rate(volume_loss, seen_liquid, lost))
             loss = d.balance.loss_of(exchange.metal_concentration(liquid))
             excess = loss - volume_loss
             if abs(excess) <= 0.1 * _LOSS_TOLERANCE:
@@ -182,6 +186,8 @@ class StageSolver:
             d.sum.low, d.sum.high, d.sum.reach,
         )  # fmt: skip
         scale = math.sqrt(d.processes.total(float(squares.sum()))) / tau
+        if d.walls is not None:
+            r += system.mask * d.walls.flow(y)
         if exchange is not None:
             source = exchange.liquid_gain(d.take(y))
             scale += self._norm(source)
@@ -230,12 +236,15 @@ class StageSolver:
                 weight[p.window][active[p.box.interior]] = 0.0
             diagonal = 1.0 / tau + d * p.neighbour_liquid
             sink = weight * (diagonal - d * p.sum(weight))
+            if p.walls is not None:
+                on = (weight > 0).astype(float)
+                sink = sink + on * (p.walls.diagonal - p.walls.gain(on, np.zeros_like(on)))
             extra_diagonal = None
             if exchange is not None:
                 extra_diagonal = (weight > 0) * p.put(exchange.diagonal())
                 sink = sink + extra_diagonal * exchange.storage_share
             self._system = DiffusionSystem(
-                p.sum, weight, diagonal, d, sink, extra_diagonal=extra_diagonal
+                p.sum, weight, diagonal, d, sink, extra_diagonal=extra_diagonal, walls=p.walls
             )
             self._system_key = key
         system = self._system
@@ -318,4 +327,7 @@ class _Held:
         gain, here = d.take(d.near(d.liquid_volume * y)), d.take(y)
         spread = diffusivity * (gain - d.box_neighbour_liquid * here)
         needed = (here - d.take(self.right.old)) / self.right.tau - spread
-        return np.where(self.active, d.box_free_volume * needed, 0.0), np.maximum(available, 0.0)
+        needed = d.box_free_volume * needed
+        if d.walls is not None:
+            needed = needed - d.take(d.walls.flow(y))
+        return np.where(self.active, needed, 0.0), np.maximum(available, 0.0)

@@ -33,10 +33,10 @@ from peri.engine.influence import Stencil
 from peri.engine.lattice import Lattice
 from peri.engine.operators import Convolution, NonlocalSum, Operator
 from peri.engine.solvers import ConvergenceError, Extra, LinearSystem
+from peri.engine.walls import Walls, WithWalls
 from peri.transport.potential.patches import Patches, surface_patches
 from peri.transport.potential.polarization import Polarization, surface_potential
 from peri.transport.potential.pools import by_pool, label_pools
-from peri.transport.potential.walls import WithWalls
 
 log = logging.getLogger(__name__)
 
@@ -112,7 +112,7 @@ class PotentialProblem:
     held : float array of the lattice's shape, optional
         phi of liquid nodes that are held, V; NaN elsewhere.
     walls : bool
-        Whether walls conduct along themselves as the rest does (transport.potential.walls); for
+        Whether walls conduct along themselves as the rest does (engine.walls); for
         the default operator.
 
     Raises
@@ -157,7 +157,9 @@ class PotentialProblem:
             root = pad(np.sqrt(np.where(self.liquid, kappa, 0.0)))
             operator = Convolution(self.sum, self.unknown * root, root, symmetric=True)
             if walls:
-                operator = WithWalls(operator, self.liquid, kappa)
+                along = Walls(self.sum)
+                along.update(self.liquid, kappa)
+                operator = WithWalls(operator, along)
         self.operator = operator
         self.volume = lattice.cell_volume
         self._columns = np.flatnonzero(np.diff(self.patches.shares.tocsc().indptr))

@@ -6,7 +6,7 @@ import pytest
 from peri.corrosion import CorrosionScene, corrode
 from peri.corrosion.kinetics import Exposed
 from peri.corrosion.metal.solids import Solid
-from peri.corrosion.passivity import Repassivation
+from peri.corrosion.passivity import Repassivation, Rupture
 from peri.engine.lattice import Lattice
 from peri.engine.march.marching import TimeStepping
 
@@ -76,3 +76,43 @@ def test_passive_metal_loses_the_passive_current_and_active_metal_more():
     for result in (passive, seeded):
         assert np.abs(result.history["balance_error"]).max() < 1e-12
         assert result.concentration[~result.metal].max() <= 4600.0 * (1 + 1e-12)
+
+
+def broken_front(steps, passive=0.05, rupture=0.3, width=0.1):
+    """Layers that a flat front under a film loses in 2.5 lives of one (m = 1, clean liquid)."""
+    spacing, solid, flux = 1e-6, 7e4, 7e-3
+    lattice = Lattice((0.0,), (spacing,), (8,))
+    film = Rupture(50.0, 100.0, passive, 5.0, rupture=rupture, rupture_width=width)
+    scene = CorrosionScene(
+        lattice, spacing, np.arange(8) >= 2, dissolution_flux=flux, flux_calibration="axis",
+        dissolution="faradaic", kinetics=film, solid_concentration=solid,
+        saturation_concentration=100.0, liquid_diffusivity=1e-9,
+    )  # fmt: skip
+    layer = spacing * solid / flux
+    ramp = width / (1 - passive) * np.log(1 / passive)
+    life = layer * (rupture / passive + ramp + 1 - rupture - width)
+    result = corrode(scene, [2.5 * life], TimeStepping("backward_euler", step=life / steps))
+    assert np.abs(result.history["balance_error"]).max() < 1e-12
+    amount = result.history["metal_amount"]
+    return (amount[0] - amount[-1]) / (solid * spacing), 2.0 + passive * 0.5 * life / layer
+
+
+def test_a_film_breaks_over_undermined_metal():
+    """d' = r(d) / T in closed form: p until d_r, an exponential on the ramp, 1 from there on."""
+    found = [broken_front(steps) for steps in (50, 100, 200)]
+    errors = np.array([layers - exact for layers, exact in found])
+    # measured 0.017, 0.012, 0.0056 of 2.173 layers (0.0027 with 400 steps a layer): order 1
+    assert (0 < errors).all() and errors[2] < 0.55 * errors[1] < 0.5 * errors[0]
+    np.testing.assert_allclose([layers for layers, _ in found], found[0][1], rtol=0.01)
+
+
+def test_what_breaks_stays_broken_and_refusals():
+    film = Rupture(3000.0, 4600.0, 1e-3)
+    dilute = np.zeros(4)
+    rates = film.rate(Exposed(concentration=dilute, lost=np.array([0.0, 0.5, 0.525, 0.6])))
+    np.testing.assert_allclose(rates, [1e-3, 1e-3, 0.5 * 1.001, 1.0], rtol=1e-12)
+    assert film.needs == {"concentration", "lost"}
+    with pytest.raises(ValueError, match="rupture: 0.99; with its width of 0.05"):
+        Rupture(3000.0, 4600.0, rupture=0.99)
+    with pytest.raises(ValueError, match="rupture_width: 0.0"):
+        Rupture(3000.0, 4600.0, rupture_width=0.0)

@@ -10,7 +10,7 @@ from peri.corrosion.acidity import AcidityLaw
 from peri.engine.constants import FARADAY
 from peri.engine.march.marching import TimeStepping, march
 from peri.engine.solvers import ConvergenceError
-from peri.omissions.thin_gap import ThinGap, ThinGapProblem
+from peri.omissions.thin_gap import ThinGap, ThinGapProblem, potential_along
 
 HOUR = 3600.0
 MOST, SOLID, DIFFUSIVITY, LENGTH = 5600.0, 1.4e5, 7.2e-10, 12.7e-3
@@ -192,3 +192,21 @@ def test_the_bound_holds_across_the_gap():
     uneven = float(np.ptp(c)) / most
     assert 0 < uneven <= scene.bound(1e9)
     assert uneven == pytest.approx(0.5 * scene.bound(1e9), rel=1e-3)
+
+
+def test_potential_along_the_gap():
+    """Constant i and kappa: i L^2 / (2 kappa h); a kappa that varies: by quadrature."""
+    nodes = 200
+    scene = crevice(nodes=nodes, gap=np.full(nodes, 20e-6))
+    speed = np.full(nodes, 0.7 / (2.5 * FARADAY * SOLID))
+    fields = {"gap": scene.gap, "speed": speed}
+    phi = potential_along(scene, fields, np.full(nodes, 3.0))
+    x = scene.places
+    exact = 0.7 / (3.0 * 20e-6) * (LENGTH * x - 0.5 * x**2)
+    np.testing.assert_allclose(phi, exact, rtol=1e-3 / nodes)  # round-off inside
+    kappa = 1.0 + 4.0 * (x / LENGTH) ** 2
+    phi = potential_along(scene, fields, kappa)
+    drop = quad(lambda s: 0.7 * (LENGTH - s) / (20e-6 * (1 + 4 * (s / LENGTH) ** 2)), 0, x[-1])[0]
+    assert phi[-1] == pytest.approx(drop, rel=1e-4)
+    with pytest.raises(ValueError, match="conductivity: 0.0 S/m"):
+        potential_along(scene, fields, np.zeros(nodes))

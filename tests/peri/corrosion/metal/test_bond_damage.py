@@ -6,9 +6,17 @@ import numba
 import numpy as np
 import pytest
 
-from peri.corrosion.metal.bond_damage import BondDamage, dissolve_islands, hashed_uniform
+from peri.corrosion.metal.bond_damage import (
+    BondDamage,
+    cut_off,
+    dissolve_islands,
+    hashed_uniform,
+)
+from peri.corrosion.run import corrode
+from peri.corrosion.scene import CorrosionScene
 from peri.engine.influence import diffusion_stencil
 from peri.engine.lattice import Lattice
+from peri.engine.march.marching import TimeStepping
 from peri.schemes.broken import BrokenBonds
 
 SOLID, SATURATED = 140e3, 5.6e3
@@ -217,3 +225,40 @@ def test_nearest_liquid_is_filled_first():
 def test_refusals(change, message):
     with pytest.raises(ValueError, match=message):
         replace(plate(), **change)
+
+
+def test_the_largest_part_of_each_piece_stays():
+    metal = np.zeros((9, 12), bool)
+    metal[1:4, 1:11] = metal[6:8, 2:5] = True
+    left = metal.copy()
+    left[:, 4] = False  # cuts the first piece in 3 and 6 columns, the second in 2 and none
+    pieces = cut_off(metal, left)
+    assert (pieces > 0)[1:4, 1:4].all() and not pieces[1:4, 5:].any() and not pieces[6:8].any()
+    assert len(np.unique(pieces)) == 2
+    assert not cut_off(metal, metal).any() and not cut_off(metal, np.zeros_like(metal)).any()
+    left[2, 4] = True
+    assert not cut_off(metal, left).any()
+
+
+@pytest.mark.parametrize("detached", ["keep", "dissolve"])
+def test_what_is_cut_off_in_a_march(detached):
+    """A bar with a thin neck: its short end is cut off and stays, or turns liquid and debris."""
+    spacing = 1e-6
+    lattice = Lattice((0.0, 0.0), (spacing,) * 2, (26, 15))
+    metal = np.zeros(lattice.shape, bool)
+    metal[4:8, 4:11] = metal[11:22, 4:11] = metal[8:11, 7] = True
+    scene = CorrosionScene(
+        lattice, 2 * spacing, metal, dissolution_flux=7e-3, dissolution="faradaic",
+        solid_concentration=7e4, saturation_concentration=700.0, liquid_diffusivity=1e-9,
+        detached=detached,
+    )  # fmt: skip
+    result = corrode(scene, [12.0], TimeStepping("backward_euler", step=0.25))
+    history, left = result.history, result.metal[-1]
+    assert np.abs(history["balance_error"]).max() < 1e-12
+    liquid = result.concentration[-1][~left]
+    assert liquid.min() >= 0 and liquid.max() <= 700.0 * (1 + 1e-9)
+    assert not left[8:11].any() and left[12:21].any()
+    assert left[4:8].any() == (detached == "keep")
+    assert (np.diff(history["metal_amount"]) <= 0).all()
+    with pytest.raises(ValueError, match="detached: 'fall'; allowed: keep, dissolve"):
+        replace(scene, detached="fall")

@@ -9,10 +9,10 @@ from peri.corrosion.polarization import TafelCurve as Tafel
 from peri.engine.influence import diffusion_stencil
 from peri.engine.lattice import Lattice
 from peri.engine.operators import NonlocalSum
+from peri.engine.walls import Walls
 from peri.schemes.bonds import Harmonic
 from peri.transport.potential.electrostatics import Electrode, PotentialProblem
 from peri.transport.potential.polarization import LinearPolarization, surface_potential
-from peri.transport.potential.walls import missing_along_walls
 
 KAPPA = 2.5  # S/m
 AE44 = PiecewiseTafelCurve(
@@ -99,7 +99,7 @@ def test_missing_moment_along_walls():
     lattice = Lattice((0.0, 0.0), (1.0, 2.0), (40, 12))
     stencil = diffusion_stencil(lattice, (3.0, 6.0))
     liquid = np.ones(lattice.shape, bool)
-    along, across = missing_along_walls(NonlocalSum(stencil, lattice.shape), liquid)
+    along, across = Walls(NonlocalSum(stencil, lattice.shape)).missing(liquid)
     offsets = np.arange(-3, 4)
     for j in range(12):
         there = (j + offsets >= 0) & (j + offsets < 12)
