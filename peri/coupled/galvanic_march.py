@@ -262,7 +262,8 @@ class GalvanicProblem(Problem):
         carried = float((area * np.abs(density)).sum())
         if not carried > 0:
             return 0.0
-        moved = 2.0 * float((np.abs(density) * grown).max()) / self.scene.conductivity
+        lowest = float(np.min(self.scene.conductivity))
+        moved = 2.0 * float((np.abs(density) * grown).max()) / lowest
         slope = np.zeros(len(area))
         for number, metal in enumerate(self.scene.metals):
             of = problem.patches.electrode == number

@@ -111,7 +111,7 @@ def at_rest_potentials(scene: GalvanicScene) -> GalvanicScene | None:
     rest = [rest_potential(metal.law) for metal in scene.metals]
     if any(e is None for e in rest):
         return None
-    resistance = _FAST * 0.5 * min(scene.lattice.spacing) / scene.conductivity
+    resistance = _FAST * 0.5 * min(scene.lattice.spacing) / float(np.max(scene.conductivity))
     return replace(
         scene,
         metals=tuple(
