@@ -29,7 +29,7 @@ _BENT = 0.1
 _BENT_FINER = 4.0
 """Bent parts are halved down to this share of the finest size."""
 _FAR = 1.5
-"""As `far` of exposures: 0.002 % of V_L on the reference screw, half the time of its default."""
+"""As `far` of exposures: 0.002 % of V_L on the reference screw, two thirds of the time."""
 _SLICES = 12
 """Slices of a part by depth, their edges graded by the square towards the surface."""
 _GRADE = 2.0
