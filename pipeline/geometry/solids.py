@@ -38,6 +38,7 @@ from pipeline.geometry.thread import (
     profile_pieces,
     seam_angle,
 )
+from pipeline.geometry.true_volume import with_true_volume
 from pipeline.scene.screw import ScrewParameters, reference_volume_and_area
 from pipeline.scene.units import metres
 
@@ -253,6 +254,7 @@ def tetrahedral_mesh(
             reasons.append(str(error).strip().split("\n")[0])
             logger.info("mesh attempt failed: %s", reasons[-1])
             continue
+        points = with_true_volume(points, cells, solid.points, solid.triangles)
         quality = mesh_quality(points, cells, solid.volume)
         if quality["min_cell_volume"] > 0 and abs(quality["volume_error"]) < 0.1:
             quality |= {"size": size, "size_fine": size_fine, "size_factor": factor}

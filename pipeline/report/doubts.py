@@ -52,8 +52,8 @@ def checks(run: RunResults) -> list[dict[str, str]]:
             add(
                 f"{alloy.name}: lost mass, mesh against lattice",
                 percent(worst, 2),
-                f"largest difference, after {duration(item.seconds)}: what the change from the "
-                "lattice to the mesh does to the damage",
+                f"largest difference, after {duration(item.seconds)}: what interpolation from the "
+                "lattice to the mesh does to the damage; the map then makes up for it",
                 "corrosion.h5 and the mesh: 1 - C/C_solid summed over the nodes and, before it is "
                 "cut off, over the points of the cells",
             )

@@ -6,8 +6,11 @@ from collections.abc import Sequence
 
 import numba
 import numpy as np
+from scipy.optimize import brentq
 
 METHODS = ("restricted", "fitted")
+_GONE = 1e-15
+"""Share of the damaged metal that counts as none."""
 _REACH = 2.0  # spacings: half width of the weights of the fit
 
 
@@ -128,6 +131,40 @@ def compare_lost_volume(
         "mesh_lost_volume": mesh,
         "relative_difference": mesh / lattice - 1.0 if lattice > 0.0 else 0.0,
     }
+
+
+def conserved_damage(damage: np.ndarray, weights: np.ndarray, lost_volume: float) -> np.ndarray:
+    """Damage 1 - (1 - f)^s with one s for the whole mesh, so that it has lost `lost_volume` (m^3).
+
+    damage (nc, nq), interpolated and not cut off; weights (nc, nq), m^3.  Conserved: the lost
+    volume, to round-off.  Metal without damage keeps none, f stays within [0, 1] and keeps its
+    order in space.  In clean liquid, where ln(1 - f) is proportional to the dose that a point has
+    seen, s is a factor of that dose: the correction goes where damage is being done, and where
+    nothing is left nothing is added.  Where the damaged part of the mesh is too small to have lost
+    as much, all of it is gone; where what is gone as a whole is too much, the damage stays.
+    """
+    present = lost_volume_on_mesh(damage, weights)
+    if lost_volume <= 0.0 or present <= 0.0:
+        return np.zeros_like(damage) if lost_volume <= 0.0 else damage
+    touched = damage > 0.0
+    held, gone = weights[touched], damage[touched] >= 1.0
+    if not held[gone].sum() < lost_volume < held.sum() * (1.0 - _GONE):
+        return touched.astype(float) if lost_volume > present else damage
+    with np.errstate(divide="ignore"):
+        left = np.log1p(-damage[touched])  # -inf where nothing is left
+
+    def excess(logarithm: float) -> float:
+        return float(-np.expm1(np.exp(logarithm) * left) @ held) / lost_volume - 1.0
+
+    low, high = -1.0, 1.0
+    while excess(low) > 0.0:
+        low -= 1.0
+    while excess(high) < 0.0:
+        high += 1.0
+    exponent = np.exp(brentq(excess, low, high, xtol=1e-15, rtol=1e-15))
+    scaled = np.zeros_like(damage)
+    scaled[touched] = -np.expm1(exponent * left)
+    return scaled
 
 
 def net_section(

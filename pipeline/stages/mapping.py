@@ -12,7 +12,13 @@ from pipeline.geometry.mesh import read_mesh
 from pipeline.scene.scene import HoldScene, Scene
 from pipeline.scene.units import ImmersionTime
 from pipeline.stages.corrosion import CORROSION_FILE
-from pipeline.stages.damage_map import compare_lost_volume, map_damage, net_section
+from pipeline.stages.damage_map import (
+    compare_lost_volume,
+    conserved_damage,
+    lost_volume_on_mesh,
+    map_damage,
+    net_section,
+)
 
 DAMAGE_FILE = "damage.h5"
 SCHEMA_VERSION = 1
@@ -30,8 +36,9 @@ def map_in_folder(
     """Map the field of one immersion time and write damage.h5; returns the files and numbers.
 
     geometry: folder with the mesh of this way of holding.  The numbers hold the mean of f0 over
-    the mesh, the volumes lost on lattice and mesh, the latter before f0 is cut off at 1/q1, and
-    what is left of the smallest net section between the grips.
+    the mesh, the volumes lost on the lattice, on the mesh as interpolated, and on the mesh as
+    mapped (the lattice's, both before f0 is cut off at 1/q1), and what is left of the smallest net
+    section between the grips.
     """
     mesh = read_mesh(geometry)
     fields = read_corrosion(corrosion / CORROSION_FILE)
@@ -47,17 +54,19 @@ def map_in_folder(
     concentration, metal = fields["concentration"][number], fields["metal"]
 
     maximum = 1.0 / material.q1
-    damage = map_damage(points, *lattice, concentration, metal, solid, maximum)
+    whole = map_damage(points, *lattice, concentration, metal, solid, 1.0)
     lost = compare_lost_volume(
         points, weights, *lattice, concentration, metal, fields["capacity"], solid
     )
-    volume = float(weights.sum())
+    whole = conserved_damage(whole, weights, lost["lattice_lost_volume"])
+    damage, volume = np.minimum(whole, maximum), float(weights.sum())
     numbers = {
         "mean_corrosion_damage": float((damage * weights).sum() / volume),
         "maximum_corrosion_damage": float(damage.max()),
         "volume_share_at_maximum": float(weights[damage >= maximum - 1e-12].sum() / volume),
         "net_section_left": _net_section_left(hold, mesh.points, fields, number, solid, maximum),
         **lost,
+        "mapped_lost_volume": lost_volume_on_mesh(whole, weights),
     }
     if one_per_cell:
         damage = ((damage * weights).sum(axis=1) / weights.sum(axis=1))[:, None]

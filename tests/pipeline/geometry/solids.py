@@ -84,3 +84,35 @@ def fine_mesh():
     from pipeline.geometry.solids import tetrahedral_mesh
 
     return tetrahedral_mesh(reference_screw(), 0.12e-3, 0.07e-3)
+
+
+@functools.cache
+def body(name: str):
+    """A ball, a torus, or a plate with a slot and a hole, from a BREP file (mm)."""
+    import tempfile
+    from pathlib import Path
+
+    from pipeline.geometry import solids
+
+    with tempfile.TemporaryDirectory() as place:
+        path = Path(place) / f"{name}.brep"
+        with solids._gmsh_session():
+            _draw(solids.occ, name)
+            solids.occ.synchronize()
+            solids.gmsh.write(str(path))
+        return solids.solid_from_file(path)
+
+
+def _draw(occ, name: str) -> None:
+    if name == "ball":
+        occ.addSphere(0, 0, 0, 0.6)
+    elif name == "torus":
+        occ.addTorus(0, 0, 0, 0.7, 0.3)
+    else:
+        plate = occ.addBox(-0.7, -0.3, 0, 1.4, 0.6, 2.0)
+        hole = occ.addCylinder(0, -1, 0.8, 0, 2, 0, 0.3)
+        slot = occ.addBox(-0.25, -1, 1.6, 0.5, 2, 1)
+        occ.cut([(3, plate)], [(3, hole), (3, slot)])
+
+
+BODIES = ("ball", "torus", "plate")
