@@ -14,6 +14,7 @@ ROOT = Path(__file__).resolve().parent.parent
 SOLVED_BY_DOLFINX = {
     "fem.assembly", "fem.compat", "fem.discretisation", "fem.loading", "fem.multigrid",
     "fem.newton", "fem.preparation", "fem.settings", "fem.solvers", "fem.strength", "fem.tearing",
+    "fem.two_levels",
 }  # fmt: skip
 ON_RANKS = {"peri.corrosion.ranks", "peri.parallel.multigrid", "peri.parallel.ranks"}
 
