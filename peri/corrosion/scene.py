@@ -102,11 +102,8 @@ class CorrosionScene:
     horizon: float | tuple[float, ...]
     metal: np.ndarray = field(repr=False)
     domain: np.ndarray | None = field(default=None, repr=False)
-    liquid: np.ndarray | None = field(default=None, repr=False)
     metal_fraction: np.ndarray | None = field(default=None, repr=False)
     boundary: str = "refreshed"
-    renewed: np.ndarray | None = field(default=None, repr=False)
-    walls: bool = False
     solid_concentration: float = 1.0
     saturation_concentration: float = 0.5
     liquid_diffusivity: float = 1e-9
@@ -124,6 +121,9 @@ class CorrosionScene:
     phase: np.ndarray | None = field(default=None, repr=False)
     coating: Coating | None = None
     detached: str = "keep"
+    liquid: np.ndarray | None = field(default=None, repr=False)
+    renewed: np.ndarray | None = field(default=None, repr=False)
+    walls: bool = False
 
     def __post_init__(self) -> None:
         shape = self.lattice.shape

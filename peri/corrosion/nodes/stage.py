@@ -201,8 +201,13 @@ class StageSolver:
         wanted = max(wanted, floor)
         enough = max(wanted, _ROUND_REDUCTION * self._norm(r)) if held else wanted
         iterations = system.solve(y, r, enough)
-        if 0 < wanted == floor and not held and not d.is_open:
-            self._level(y, right, exchange)
+        if 0 < wanted == floor and not held:
+            if not d.is_open:
+                self._level(y, right, exchange)
+            elif rounding * self._norm(system.weight * y) < 0.1 * floor:
+                # The rounding is that of the solution, which is far cleaner than the guess was.
+                more, settled = self._solve_liquid(y, right, exchange, active)
+                return iterations + more, settled
         return iterations, enough <= wanted
 
     def _level(self, y: np.ndarray, right: _Right, exchange: Exchange | None) -> None:
