@@ -2,7 +2,8 @@
 
 The ball has three horizons' radius and the kinetics of Mg-5Gd; the exposure of its points is
 known, so V_L(t) without a lattice is one quadrature.  Errors are the largest over 7, 28 and 56
-days, medians over positions of the lattice.  moving_front.py has the rows of surfaces that move.
+days, medians over positions of the lattice.  saturated_liquid.py has the screw's times and the ball
+that saturates its liquid, moving_front.py the rows of surfaces that move.
 """
 
 from __future__ import annotations
@@ -19,8 +20,14 @@ from peri.engine.lattice import ball as nodes_of_ball
 from peri.engine.surface.rate_classes import rate_classes
 from peri.engine.surface.triangles import Surface
 from peri.omissions.reduced import ReducedCorrosion, factor_of
-from pipeline.benches.moving_front import edged_bodies, moving_balls, saturated_balls
+from pipeline.benches.moving_front import (
+    edged_bodies,
+    moving_balls,
+    moving_plates,
+    saturated_balls,
+)
 from pipeline.benches.result import Result
+from pipeline.benches.saturated_liquid import ball_in_own_liquid, screw_setup, screw_step
 from pipeline.geometry.cell_shares import cell_shares
 
 Array = NDArray[np.float64]
@@ -37,12 +44,31 @@ def cut_cells() -> list[Result]:
     """Three lattices, five positions each; two of the surface that moves."""
     moving = moving_balls(round_surface(1.0, 5), (2, 3, 4), 2, 0.02)
     moving += saturated_balls(round_surface(1.0, 4), 0.05)
-    return _measure((2, 3, 4), 5, 5) + moving + edged_bodies((2, 3, 4), 0.03)
+    return (
+        _measure((2, 3, 4), 5, 5)
+        + resting_cut_cells()
+        + moving
+        + moving_plates((2, 4), 0.05)
+        + edged_bodies((2, 3, 4), 0.03)
+    )
+
+
+def resting_cut_cells() -> list[Result]:
+    """What classes cost on the screw, and the ball in its own liquid."""
+    return (
+        screw_step(3) + screw_setup((2, 4)) + ball_in_own_liquid(round_surface(1.0, 4), (2, 3, 4))
+    )
 
 
 def small_cut_cells() -> list[Result]:
     """The coarsest lattice at one or two positions, on coarser triangles."""
-    return _measure((2,), 2, 4) + moving_balls(round_surface(1.0, 4), (2,), 1, 0.1)
+    surface = round_surface(1.0, 4)
+    return (
+        _measure((2,), 2, 4)
+        + ball_in_own_liquid(surface, (2,))
+        + moving_balls(surface, (2,), 1, 0.1)
+        + moving_plates((2,), 0.1)
+    )
 
 
 def _measure(ratios: tuple[int, ...], positions: int, refinements: int) -> list[Result]:

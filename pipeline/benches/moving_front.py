@@ -3,7 +3,9 @@
 The ball has three horizons' radius; the reference is the same nonlocal model in radial shells.
 Errors are the largest over 10, 20, 33, 50 and 67 % of V_L, medians over positions of the lattice.
 A cube of three horizons and a cylinder as wide and high have edges and no reference: their V_L is
-compared with that of delta/4, the largest difference over five times up to V_L = 0.8.  A ball of
+compared with that of delta/4, the largest difference over five times up to V_L = 0.8.  A plate of
+three horizons loses V_L = t/1.5 by Faraday's law, whatever the horizon, until it is one thick; wide
+enough for its middle to see no edge, it lies along the lattice and across it twice.  A ball of
 two horizons in liquid that it saturates (C_sat = C_solid/100, held clean beyond 3.5 horizons, D =
 20 in units of horizon times flux over C_solid) has both limits at once: delta/2 against delta/3.
 """
@@ -33,6 +35,8 @@ RADIUS, WIDTH = 3.0, 3.0
 LOSSES = np.array([0.1, 0.2, 0.33, 0.5, 0.667])
 LAWS = {"proportional": 1e-5, "faradaic": 1e-5}
 """C_sat/C_solid by law."""
+NORMALS = ((1, 0), (1, 1), (2, 1))
+"""Of the plates, in x and y."""
 
 
 def moving_balls(
@@ -83,6 +87,59 @@ def edged_bodies(ratios: tuple[int, ...], rate_change: float) -> list[Result]:
     return results
 
 
+def moving_plates(ratios: tuple[int, ...], rate_change: float) -> list[Result]:
+    """Errors of V_L in the middle of plates under Faraday's law, by their normal; one position."""
+    results = []
+    thick = 0.5 * WIDTH
+    for across, along in NORMALS:
+        plate = plate_of(across, along)
+        for ratio in ratios:
+            shift = np.random.default_rng(ratio).random(3)
+            scene = _in_clean_liquid(plate, ratio, shift, "faradaic", LAWS["faradaic"])
+            box = (scene.lattice.origin, scene.lattice.spacing, scene.lattice.shape)
+            fraction = cell_shares(plate.vertices, plate.facets, *box)
+            start = time.process_time()
+            found = corrode(scene, thick * LOSSES, TimeStepping(rate_change=rate_change))
+            seconds = time.process_time() - start
+            middle = middle_of(scene.lattice, across, along, ratio)
+            share = np.where(middle, fraction, 0.0)
+            left = (found.concentration * share).sum(axis=(1, 2, 3)) / share.sum()
+            name = f"dissolving plate, normal ({across} {along} 0), delta/{ratio}"
+            off = float(np.abs((1 - left) / LOSSES - 1).max())
+            target = {4: "<= 6e-3"}.get(ratio)
+            results += [
+                Result(f"{name}: error of V_L", off, "1", target),
+                Result(f"{name}: march", seconds, "s processor"),
+            ]
+    return results
+
+
+def plate_of(across: int, along: int) -> Surface:
+    """A plate of normal (across, along, 0), six horizons wide.
+
+    Half of that holds half the middle, what an edge loses, and the horizon that sees the edge.
+    """
+    long, half = float(np.hypot(across, along)), 0.5 * WIDTH
+    axes = np.array([[-along, across, 0], [0, 0, long], [across, along, 0]]) / long
+    prism = _prism(4)
+    return Surface(prism.vertices * (np.array([3.0, 3.0, half]) / half) @ axes, prism.facets)
+
+
+def middle_of(lattice: Lattice, across: int, along: int, ratio: int) -> NDArray[np.bool_]:
+    """Cells about the middle of a plate, whole periods of the lattice along it (about a horizon).
+
+    Periods hold each depth alike, so that what such cells hold of the metal is what the plate does.
+    """
+    i, j, k = np.indices(lattice.shape)
+    period = across**2 + along**2
+    wide = max(1, round(ratio / np.sqrt(period))) * period
+    here = across * j - along * i
+    x, y, z = (-o / s for o, s in zip(lattice.origin, lattice.spacing, strict=True))
+    first = round(across * y - along * x - 0.5 * wide)
+    low = round(z - 0.5 * ratio)
+    return (here >= first) & (here < first + wide) & (k >= low) & (k < low + ratio)
+
+
 def saturated_balls(surface: Surface, rate_change: float) -> list[Result]:
     """Differences of V_L where the liquid limits, too; surface: of a ball of radius 1."""
     results = []
@@ -90,7 +147,7 @@ def saturated_balls(surface: Surface, rate_change: float) -> list[Result]:
         times = end * np.array([0.1, 0.3, 1.0])
         found = []
         for ratio in (2, 3):
-            scene = _in_own_liquid(surface, ratio, np.random.default_rng(ratio).random(3), law)
+            scene = in_own_liquid(surface, ratio, np.random.default_rng(ratio).random(3), law)
             found.append(corrode(scene, times, TimeStepping(rate_change=rate_change)))
         name = f"ball that saturates its liquid, {law}"
         off = found[0].volume_loss / found[1].volume_loss - 1
@@ -103,21 +160,25 @@ def saturated_balls(surface: Surface, rate_change: float) -> list[Result]:
     return results
 
 
-def _in_own_liquid(surface: Surface, ratio: int, shift: Array, law: str) -> CorrosionScene:
-    spacing, edge = 1.0 / ratio, 4.5
+def in_own_liquid(
+    surface: Surface, ratio: int, shift: Array, law: str,
+    free: float = 3.5, diffusivity: float = 20.0, saturated: float = 0.01,
+) -> CorrosionScene:  # fmt: skip
+    """A ball of two horizons in liquid up to `free`, held at zero for a horizon beyond it."""
+    spacing, edge = 1.0 / ratio, free + 1.0
     half = int(np.ceil(edge * ratio)) + 2
     origin = tuple(float(s - half) * spacing for s in shift)
     lattice = Lattice(origin, (spacing,) * 3, (2 * half + 1,) * 3)
     box = (lattice.origin, lattice.spacing, lattice.shape)
-    fraction, free, inside = (
-        cell_shares(radius * surface.vertices, surface.facets, *box) for radius in (2.0, 3.5, edge)
+    fraction, clear, inside = (
+        cell_shares(radius * surface.vertices, surface.facets, *box) for radius in (2.0, free, edge)
     )
     ball = Surface(2.0 * surface.vertices, surface.facets)
     seen = cell_exposure(lattice, ball, 1.0, fraction)
-    shares = CellExposure(seen.metal, seen.liquid, inside, np.maximum(inside - free, 0.0))
+    shares = CellExposure(seen.metal, seen.liquid, inside, np.maximum(inside - clear, 0.0))
     return CorrosionScene(
         lattice, 1.0, fraction > 0, domain=inside > 0, solid_concentration=1.0,
-        saturation_concentration=0.01, liquid_diffusivity=20.0, dissolution_flux=1.0,
+        saturation_concentration=saturated, liquid_diffusivity=diffusivity, dissolution_flux=1.0,
         dissolution=law, kinetics=ConstantRate(), exposure=shares,
     )  # fmt: skip
 
@@ -142,14 +203,19 @@ def _prism(sides: int) -> Surface:
     return Surface(vertices, np.vstack([np.column_stack(three) for three in corners]))
 
 
+def lattice_about(surface: Surface, ratio: int, shift: Array) -> Lattice:
+    """A cube of cells about a body and a horizon of liquid; shift: of the lattice, in spacings."""
+    spacing = 1.0 / ratio
+    half = int(np.ceil((np.abs(surface.vertices).max() + 1.0) * ratio)) + 2
+    origin = tuple(float(s - half) * spacing for s in shift)
+    return Lattice(origin, (spacing,) * 3, (2 * half + 1,) * 3)
+
+
 def _in_clean_liquid(
     surface: Surface, ratio: int, shift: Array, law: str, saturated: float
 ) -> CorrosionScene:
     """A body in liquid held at zero; horizon, flux and C_solid are 1."""
-    spacing = 1.0 / ratio
-    half = int(np.ceil((np.abs(surface.vertices).max() + 1.0) * ratio)) + 2
-    origin = tuple(float(s - half) * spacing for s in shift)
-    lattice = Lattice(origin, (spacing,) * 3, (2 * half + 1,) * 3)
+    lattice = lattice_about(surface, ratio, shift)
     fraction = cell_shares(
         surface.vertices, surface.facets, lattice.origin, lattice.spacing, lattice.shape
     )

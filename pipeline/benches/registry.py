@@ -171,7 +171,7 @@ BENCHMARKS: dict[str, Benchmark] = {
         bench_corrosion.small_screw,
     ),
     "cut-cells": Benchmark(
-        "rate classes: balls in clean liquid, at rest and dissolved to a third (6 minutes)",
+        "rate classes: bodies at rest and dissolved, cost on the screw (8 minutes)",
         bench_cut_cells.cut_cells,
         bench_cut_cells.small_cut_cells,
     ),

@@ -106,10 +106,10 @@ def _place(lattice: Lattice) -> tuple:
 @pytest.mark.parametrize(
     ("body", "ratio", "low", "high", "most"),
     [
-        pytest.param(of_ball, 2, 0.5, 3, 2e-3, marks=pytest.mark.slow),
+        (of_ball, 2, 0.5, 3, 2e-3),
         (lambda: of_box((1.6e-3, 1.2e-3, 0.22e-3)), 2, 0.5, 3, 5e-3),
-        pytest.param(of_torus, 2, 0.5, 3, 2e-3, marks=pytest.mark.slow),
-        pytest.param(of_ball, 3, 0.5, 3, 1e-3, marks=pytest.mark.slow),
+        (of_torus, 2, 0.5, 3, 2e-3),
+        (of_ball, 3, 0.5, 3, 1e-3),
         (lambda: of_box((1e-3, 1e-3, 1e-3)), 2, 0.5, 3, 1e-3),
         (lambda: of_box((1.6e-3, 1.2e-3, 20e-6)), 2, 0.5, 3, 1e-2),
     ],
@@ -121,6 +121,7 @@ def test_estimate_over_true_error(body, ratio, low, high, most):
     error = float(np.abs(well_stirred(scene, TIMES).volume_loss / exact - 1).max())
     found = sampling_error(scene, TIMES)
     assert 1e-5 < error < most
+    # measured 0.70, 2.63, 0.53, 0.71, 1.75 and 1.33
     assert low * error < found < high * error
 
 

@@ -1,0 +1,41 @@
+"""The benchmark of rate classes: what its rows rest on, and its rows of cost and liquid run."""
+
+import numpy as np
+import pytest
+
+from pipeline.benches import moving_front
+from pipeline.benches.cut_cells import round_surface, small_cut_cells
+from pipeline.benches.saturated_liquid import ball_in_own_liquid, screw_step
+from pipeline.geometry.cell_shares import cell_shares
+
+
+@pytest.mark.parametrize(("across", "along"), moving_front.NORMALS)
+def test_the_middle_of_a_plate_holds_what_its_area_does(across, along):
+    ratio = 2
+    plate = moving_front.plate_of(across, along)
+    lattice = moving_front.lattice_about(plate, ratio, np.array([0.3, 0.8, 0.1]))
+    share = cell_shares(
+        plate.vertices, plate.facets, lattice.origin, lattice.spacing, lattice.shape
+    )
+    middle = moving_front.middle_of(lattice, across, along, ratio)
+    period = across**2 + along**2
+    periods = max(1, round(ratio / np.sqrt(period)))
+    area = periods * np.sqrt(period) / ratio  # by one horizon along z
+    volume = share[middle].sum() / ratio**3
+    assert volume == pytest.approx(area * moving_front.WIDTH, rel=1e-9)
+
+
+@pytest.mark.slow
+def test_small_rows():
+    rows = {row.quantity: row.value for row in small_cut_cells()}
+    assert rows["ball in liquid at C_sat, delta/2: error of V_L"] < 0.06  # 0.051
+    for normal, most in (("1 0 0", 0.05), ("1 1 0", 0.02), ("2 1 0", 0.025)):
+        # 0.046, 0.018 and 0.021
+        assert 0 < rows[f"dissolving plate, normal ({normal}), delta/2: error of V_L"] < most
+
+
+@pytest.mark.slow
+def test_cost_and_order():
+    rows = {row.quantity: row.value for row in ball_in_own_liquid(round_surface(1.0, 4), (2, 3))}
+    assert 1.5 < rows["ball in liquid at C_sat: order, delta/2 to delta/3"] < 2.5  # 1.98
+    assert [row.value > 0 for row in screw_step(1)] == [True] * 3
