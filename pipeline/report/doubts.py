@@ -265,7 +265,7 @@ def in_short(run: RunResults, assumed: int) -> str:
             error += f", of the strength left of the shank up to {percent(tensile.error, 1)}"
     values = "value is" if assumed == 1 else "values are"
     seconds = sum(record.seconds for _, record in run.records)
-    cost = f" The run took {format_seconds(seconds)}." if seconds else ""
+    cost = f" The stages took {format_seconds(seconds)} in sum." if seconds else ""
     return (
         f"Resolution {settings_name(run.scene)}; {error}, and {assumed} {values} assumed, fitted "
         f"or known to be wrong.{cost}"

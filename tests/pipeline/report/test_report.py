@@ -83,7 +83,7 @@ def test_the_answer_comes_first_one_sentence_for_each_alloy(full):
     # between 8 weeks (0.64) and 24 weeks (0.21): 8 + 16 * 0.14 / 0.43 = 13.2 weeks
     assert "gone after about 13 weeks" in top
     assert "17 values are assumed, fitted or known to be wrong" in top
-    assert "The run took 3 min 03 s" in top  # 3 + 2 (40 + 4 (0.5 + 12))
+    assert "The stages took 3 min 03 s in sum" in top  # 3 + 2 (40 + 4 (0.5 + 12))
 
 
 def test_table_pictures_and_curves_are_complete(full):
