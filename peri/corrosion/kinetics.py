@@ -9,6 +9,7 @@ law's parameter, and by "volume_loss") lets a fit follow it.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, ClassVar
 
@@ -49,7 +50,7 @@ QUANTITIES = tuple(f.name for f in fields(Exposed))
 _GLOBAL = frozenset({"volume_loss"})
 
 
-class Kinetics:
+class Kinetics(ABC):
     """A law of the rate.
 
     needs : names of the quantities of `Exposed` that the rate depends on.  With nothing but the
@@ -63,9 +64,9 @@ class Kinetics:
     slows: ClassVar[bool] = False
     on_classes: ClassVar[bool] = True
 
+    @abstractmethod
     def rate(self, at: Exposed) -> float | np.ndarray:
         """The rate over that at zero volume loss, >= 0; of the shape of what the law needs."""
-        raise NotImplementedError(f"{type(self).__name__} has no rate")
 
     def key(self) -> dict[str, object]:
         """What determines the law, for the mark of a checkpoint."""

@@ -7,6 +7,7 @@ without loading a law, and nothing here needs more than the standard library.
 from __future__ import annotations
 
 import importlib
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar, Protocol
 
@@ -62,7 +63,7 @@ class Discrete(Protocol):
     box: NonlocalSum | None
 
 
-class InterfaceLaw:
+class InterfaceLaw(ABC):
     """A law of the bonds across the interface.
 
     name : as scenes and files say it.  saturations, schemes : what it goes with, and why not
@@ -80,32 +81,33 @@ class InterfaceLaw:
         """What determines the law, for the mark of a checkpoint."""
         return {"law": type(self).__qualname__, **vars(self)}
 
+    @abstractmethod
     def liquid_below(self, scene: Scene) -> float:
         """Metal with no more than this is liquid, mol/m^3."""
-        raise NotImplementedError
 
+    @abstractmethod
     def lifetime(self, scene: Scene) -> float:
         """How long a node of the shortest-lived solid lasts in clean liquid, over 1/lambda."""
-        raise NotImplementedError
 
+    @abstractmethod
     def share_of(self, solid: Solid, scene: Scene) -> float:
         """The rate of a solid's bonds over that of the scene's, for its flux to be `solid.rate`."""
-        raise NotImplementedError
 
+    @abstractmethod
     def exchange(self, discrete: Discrete, old: np.ndarray, tau: float) -> object:
         """The Exchange of one stage (tau in s) from the right side `old` (padded)."""
-        raise NotImplementedError
 
     # --- the march: what a step may do, and how its rates changed ---------------------------
 
+    @abstractmethod
     def gone(
         self, discrete: Discrete, concentration: np.ndarray, emptied: np.ndarray | None
     ) -> np.ndarray | None:
         """Metal nodes that an accepted step turns liquid."""
-        raise NotImplementedError
 
     def check(self, discrete: Discrete, concentration: np.ndarray, time: float) -> None:
-        """ValueError where the law's physics ends."""
+        """ValueError where the law's physics ends; it goes on everywhere unless a law says so."""
+        return None
 
     def continues(self, discrete: Discrete, first: Stage, right: Fields) -> bool:
         """Whether a second-order step may go on from its first stage to this right side."""
@@ -115,9 +117,9 @@ class InterfaceLaw:
         """Whether a second-order step is positive as far as the law goes."""
         return True
 
+    @abstractmethod
     def change(self, discrete: Discrete, attempt: Attempt) -> float:
         """Relative change of the metal's loss rate in a step."""
-        raise NotImplementedError
 
 
 def interface_law(law: str | InterfaceLaw) -> InterfaceLaw:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+
 import numpy as np
 
 from peri.corrosion.phases import Phases
 from peri.engine.processes import OneProcess
 
 
-class Exchange:
+class Exchange(ABC):
     """Metal-liquid exchange of one stage, its metal unknowns eliminated.
 
     A law derives from it.  All arrays are padded ones of the box; `liquid` and `metal` are
@@ -35,21 +37,21 @@ class Exchange:
         self.old_metal = phases.take(old)
         self.weight = phases.box_metal.astype(float)
 
+    @abstractmethod
     def set(self, theta: np.ndarray, rate: float, local: np.ndarray | float = 1.0) -> None:
         """Fix the saturation factors, the interface diffusivity (m^2/s) and the nodes' shares."""
-        raise NotImplementedError
 
+    @abstractmethod
     def metal_concentration(self, liquid: np.ndarray) -> np.ndarray:
         """The metal at the stage's end, for liquid concentrations."""
-        raise NotImplementedError
 
+    @abstractmethod
     def offered(self, metal: np.ndarray, liquid: np.ndarray | float) -> np.ndarray:
         """Interface inflow of the free liquid nodes with theta = 1 (times their volume)."""
-        raise NotImplementedError
 
+    @abstractmethod
     def to_refreshed(self, metal: np.ndarray) -> np.ndarray:
         """Interface inflow per relative volume of liquid held at zero."""
-        raise NotImplementedError
 
     def liquid_gain(self, liquid: np.ndarray) -> np.ndarray:
         """Net interface inflow of the free liquid nodes for given liquid values."""
@@ -63,13 +65,16 @@ class Exchange:
         """The liquid's own share of its outflow into the metal."""
         return np.zeros_like(self.theta)
 
+    @abstractmethod
     def correct(self, metal: np.ndarray, change: np.ndarray, saturated: float) -> np.ndarray:
         """Metal after the flux of the active nodes changed by `change` in theta."""
-        raise NotImplementedError
 
     def switch_off(self, saturated_volume: np.ndarray) -> None:
-        """Saturation "as_published": no exchange for metal nodes that see saturated liquid."""
-        raise NotImplementedError
+        """Saturation "as_published": no exchange for metal nodes that see saturated liquid.
+
+        For laws that go with it (InterfaceLaw.saturations).
+        """
+        raise ValueError("saturation: 'as_published' does not go with these bonds")
 
     def switch(self) -> np.ndarray | None:
         """Which metal nodes exchange with the liquid (0: held back), where the law knows."""

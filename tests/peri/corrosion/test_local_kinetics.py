@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from peri.corrosion.kinetics import ConstantRate, Exposed, Kinetics
+from peri.corrosion.kinetics import ConstantRate, Kinetics
 from peri.corrosion.nodes.bimaterial import BiMaterial
 from peri.corrosion.nodes.problem import CorrosionProblem
 from peri.corrosion.run import corrode
@@ -215,12 +215,18 @@ def test_refusals():
     class Wishful(Kinetics):
         needs = frozenset({"weather"})
 
+        def rate(self, at):
+            return 1.0
+
+    class Empty(Kinetics):
+        """A law without a rate."""
+
     with pytest.raises(
         ValueError, match="kinetics: it needs weather; known: volume_loss, phase, c"
     ):
         pin(2, kinetics=Wishful())
     with pytest.raises(ValueError, match="it must be a corrosion.kinetics.Kinetics"):
         pin(2, kinetics="constant")
-    with pytest.raises(NotImplementedError, match="Wishful has no rate"):
-        Wishful().rate(Exposed())
+    with pytest.raises(TypeError, match="abstract class Empty .*rate"):
+        Empty()
     assert Inhibited(2.0).key() == {"law": "Inhibited", "half": 2.0}
