@@ -102,28 +102,24 @@ def lost_volume_on_mesh(damage: np.ndarray, weights: np.ndarray) -> float:
 
 
 def compare_lost_volume(
-    points: np.ndarray,
+    damage: np.ndarray,
     weights: np.ndarray,
-    origin: Sequence[float],
     spacing: float | Sequence[float],
     concentration: np.ndarray,
     metal: np.ndarray,
     capacity: np.ndarray,
     solid_concentration: float,
-    method: str = "restricted",
 ) -> dict[str, float]:
     """Volume lost (m^3) on both sides, and the difference mesh / lattice - 1.
 
-    points (nc, nq, 3) and weights (nc, nq) are the quadrature of the mesh; capacity (nx, ny, nz)
-    is the metal that each metal node stands for, in cells (its sum is the solid's volume). Keys:
-    lattice_lost_volume, mesh_lost_volume, relative_difference (0 where nothing is lost).
+    damage (nc, nq), not cut off (map_damage with maximum_damage 1), and weights (nc, nq) are those
+    of the mesh's quadrature; capacity (nx, ny, nz) is the metal that each metal node stands for,
+    in cells (its sum is the solid's volume). Keys: lattice_lost_volume, mesh_lost_volume,
+    relative_difference (0 where nothing is lost).
     """
     step = np.broadcast_to(np.asarray(spacing, dtype=float), (3,))
     lattice = lost_volume_on_lattice(
         concentration, metal, solid_concentration, np.asarray(capacity) * step.prod()
-    )
-    damage = map_damage(
-        points, origin, spacing, concentration, metal, solid_concentration, 1.0, method
     )
     mesh = lost_volume_on_mesh(damage, weights)
     return {

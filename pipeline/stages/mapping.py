@@ -56,7 +56,7 @@ def map_in_folder(
     maximum = 1.0 / material.q1
     whole = map_damage(points, *lattice, concentration, metal, solid, 1.0)
     lost = compare_lost_volume(
-        points, weights, *lattice, concentration, metal, fields["capacity"], solid
+        whole, weights, lattice[1], concentration, metal, fields["capacity"], solid
     )
     whole = conserved_damage(whole, weights, lost["lattice_lost_volume"])
     damage, volume = np.minimum(whole, maximum), float(weights.sum())

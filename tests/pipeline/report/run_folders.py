@@ -59,10 +59,9 @@ def lost_volume():
     """Numbers of a map whose mesh holds 1.23 % less of the loss than the lattice."""
     concentration = np.full((2, 2, 2), 0.5)
     metal = np.ones((2, 2, 2), bool)
-    points = np.full((1, 1, 3), 0.5)
     weights = np.full((1, 1), 8 * (1 - 0.0123))
     return compare_lost_volume(
-        points, weights, (0, 0, 0), 1.0, concentration, metal, np.ones((2, 2, 2)), 1.0
+        np.full((1, 1), 0.5), weights, 1.0, concentration, metal, np.ones((2, 2, 2)), 1.0
     )
 
 
