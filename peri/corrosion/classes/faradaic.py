@@ -3,7 +3,9 @@
 What a class could not give any more in a stage is given by those that still can: the others of its
 cell first, then the cells around, in proportion to their flux and along their own bonds.  Each part
 has a metal that loses it and a liquid that receives it, so the amounts add up, and a stage of
-constant rates delivers the whole flux while there is metal to carry it.
+constant rates delivers the whole flux while there is metal to carry it.  A class takes on of it
+what its own bonds are open for: with all of it, liquid at C_sat would get more than it needs
+however small its factors are.
 """
 
 from __future__ import annotations
@@ -46,10 +48,17 @@ class FaradaicBonds(Bonds):
     def value(self) -> Array:
         """old - on tau k C_solid mu b, >= 0."""
         demand = self.tau * self.rate * self.cells.scene.solid_concentration * self.seen
-        given = self._given(demand)
+        own = np.minimum(demand, self.old)
+        given = np.minimum(own + self._open_share() * (self._given(demand) - own), self.old)
         full = (self.old > 0).astype(float)
         self.on = np.divide(given, demand, out=full, where=demand > 0)
         return self.old - given
+
+    def _open_share(self) -> Array:
+        """(n,) what saturation leaves of each class's bonds, 0..1."""
+        whole = self.cells.bond_sum
+        seen = self.cells.mu * self._open
+        return np.minimum(np.divide(seen, whole, out=np.zeros_like(seen), where=whole > 0), 1.0)
 
     def _given(self, demand: Array) -> Array:
         """What each class gives, mol/m^3, if each should give `demand` and none what it lacks."""
@@ -104,8 +113,11 @@ class FaradaicBonds(Bonds):
         return self.cells.free_share * self.arriving(classes)
 
     def correct(self, classes: Array, change: Array, saturated: float) -> Array:
-        """See Bonds.correct."""
+        """See Bonds.correct.
+
+        What a cell at C_sat needs may be negative by round-off; the metal then gains it.
+        """
         cells = self.cells
         seen = self.mu * cells.gather(cells.near(change * cells.free_share * cells.nu))
         flux = self.rate * cells.scene.solid_concentration * self.on * seen
-        return np.clip(classes - self.tau * flux, 0.0, self.old)
+        return np.maximum(classes - self.tau * flux, 0.0)

@@ -21,6 +21,8 @@ _LOSS_TOLERANCE = 1e-9
 _DRIFT = 1e-7
 """How well a stage has to know the liquid that the kinetics sees, relative."""
 _ROUND_REDUCTION = 0.1
+_NOTHING = 1e-30
+"""Of the metal: liquid that washes out is not solved for below it, down to where numbers end."""
 
 Array = NDArray[np.float64]
 
@@ -168,7 +170,8 @@ class StageSolver:
         scale = float(np.linalg.norm(self.cells.free_share * old)) / tau + float(
             np.linalg.norm(gain)
         )
-        wanted = self.cells.tolerance * scale
+        least = _NOTHING * self.cells.metal_scale / tau
+        wanted = self.cells.tolerance * max(scale, least)
         enough = max(wanted, _ROUND_REDUCTION * float(np.linalg.norm(r)))
         enough = enough if active.any() else wanted
         return self._system.solve(y, r, enough), enough <= wanted

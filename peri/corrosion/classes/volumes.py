@@ -39,6 +39,8 @@ from peri.engine.surface.share_weights import share_stencil
 
 _SMALLEST_SHARE = 1e-3
 """Cells with a smaller share of liquid hold none (of a thousandth of a cell's flux)."""
+_THINNEST = 1e-18
+"""Of a class: less than that of it is none; what its cell's liquid takes for it is round-off."""
 _BALANCING_ROUNDS = 8
 """Of mu and nu by turns; more change V_L by less than 1e-4 (the metal's condition is exact)."""
 
@@ -248,9 +250,9 @@ class Volumes:
         solid, volume, ends = self.scene.solid_concentration, self.volume, self.ends
         left = self.columns.thinned(volume, life)
         # What is left keeps what the class holds above C_end, so that it stays below C_solid; a
-        # class is gone when it holds no more than that.
+        # class is gone when it holds no more than that, or next to nothing.
         left = np.maximum(left, volume * np.maximum(classes - ends, 0.0) / (solid - ends))
-        left = np.where(classes > ends, left, 0.0)
+        left = np.where((classes > ends) & (left > _THINNEST * self.initial_volume), left, 0.0)
         grown = self.initial_free + self.scatter(self.initial_volume - left)
         return np.where(self.gather(grown) < _SMALLEST_SHARE, volume, left)
 

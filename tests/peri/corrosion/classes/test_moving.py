@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from peri.corrosion.classes.cells import Cells
 from peri.corrosion.classes.columns import Columns
 from peri.corrosion.kinetics import ConstantRate
 from peri.corrosion.run import corrode
@@ -135,3 +136,40 @@ def test_speed_of_a_travelling_front(law):
         np.testing.assert_allclose(3.4 - left, 2 * times, rtol=0.03)
     else:
         assert left[0] - left[1] == pytest.approx(2 * 0.3, rel=0.03)  # measured 0.983
+
+
+def small_brick(law, **options):
+    half = np.array([0.8, 0.7, 0.6])
+    lattice = Lattice((-1.93,) * 3, (0.5,) * 3, (8, 8, 8))
+    fraction = share_of_box(lattice, -half, half)
+    seen = cell_exposure(lattice, box(-half, half), 1.0, fraction)
+    settings = {
+        "liquid_diffusivity": 1.0, "saturation_concentration": 0.01, "dissolution_flux": 1.0,
+        **options,
+    }  # fmt: skip
+    return CorrosionScene(
+        lattice, 1.0, fraction > 0, solid_concentration=1.0, dissolution=law,
+        kinetics=ConstantRate(), exposure=seen, **settings,
+    )  # fmt: skip
+
+
+def test_what_is_next_to_nothing_of_a_class_is_none():
+    cells = Cells(small_brick("faradaic"))
+    classes, life = np.ones(cells.cell.size), np.ones(cells.cell.size)
+    cut = cells.gather(cells.initial_free) > 0.1
+    # used up but for what steps leave that halve a remainder again and again
+    classes[cut], life[cut] = 1e-310, -1e-3
+    with np.errstate(over="raise", invalid="raise"):
+        count = cells.dissolve(np.zeros(cells.sum.padded_shape), classes, life, 0.0)
+    assert count == cut.sum() > 0 and not classes[cut].any()
+    assert np.all(cells.volume[~cut] > 0)
+
+
+def test_emptied_classes_hand_on_what_saturated_liquid_takes():
+    # D_int without limit: classes are empty within a step, and those that carry for them see
+    # liquid at C_sat alone.  All that the liquid takes is what diffusion lets through.
+    scene = small_brick("faradaic", dissolution_flux=1e9, boundary="refreshed")
+    found = corrode(scene, [0.1, 3.0], TimeStepping(rate_change=0.3))
+    assert np.abs(found.history["balance_error"]).max() < 1e-13
+    assert 0.1 < found.volume_loss[0] < 0.9 and found.volume_loss[-1] == pytest.approx(1.0)
+    assert found.concentration[0][~scene.metal].max() == pytest.approx(0.01, rel=1e-6)
