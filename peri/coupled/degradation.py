@@ -77,6 +77,8 @@ class Degradation(CorrosionProblem):
         of leaving it out exceeds STORAGE_LIMIT
     bath : of finite volume, which what leaves stays in; None: always fresh medium
 
+    potential_left_out : bound of |phi| at the first release, V, where it is left out
+
     Raises
     ------
     ValueError
@@ -113,7 +115,8 @@ class Degradation(CorrosionProblem):
         if self.charge_balance is not None:
             self.charge_balance.check(self.options.closure, bath is not None)
             self.charge_balance.begin(self.surroundings)
-        self.first = self._first_liquid()
+        first = self._first_liquid()
+        self.potential_left_out = self.surroundings.liquid.potential_bound(first)
         self.bath = None if bath is None else BathLiquid(bath, medium)
         if bath is not None and not self.discrete.is_open:
             raise ValueError(
@@ -121,7 +124,8 @@ class Degradation(CorrosionProblem):
                 "a bath needs 'refreshed'"
             )
         evolves = self.stores or bath is not None or bool(self._reads)
-        self.follows_minerals = evolves or (self._any_forms() if minerals is None else minerals)
+        form = self._any_forms(first) if minerals is None else minerals
+        self.follows_minerals = evolves or form
         names = [m.name for m in medium.chemistry.minerals]
         self.columns = {**COLUMNS, "hydrogen_amount": "mol"}
         self.evolved = ("concentration",)
@@ -198,12 +202,11 @@ class Degradation(CorrosionProblem):
         self._carry({"concentration": self.discrete.initial_concentration})
         return around.liquid.solve(source, minerals=False)
 
-    def _any_forms(self) -> bool:
+    def _any_forms(self, first: LiquidState) -> bool:
         """Whether a mineral passes its nucleation index at the first, largest release."""
-        around = self.surroundings
         return any(
-            bool((m.region & (m.ln_omega(self.first.ln_component) > m.ln_nucleation)).any())
-            for m in around.liquid.minerals
+            bool((m.region & (m.ln_omega(first.ln_component) > m.ln_nucleation)).any())
+            for m in self.surroundings.liquid.minerals
         )
 
     def liquid_at(self, state: State) -> LiquidState:
@@ -324,10 +327,6 @@ class Degradation(CorrosionProblem):
         metal, capacity = self.discrete.metal, self.discrete.capacity
         lost = float((capacity * (before - after["concentration"]))[metal].sum())
         return max(change, self.on_nodes.change(attempt, lost))
-
-    def bounded(self, fields: Fields) -> Fields:
-        """Concentrations of the metal's march from 0 to C_solid."""
-        return {**fields, **super().bounded(fields)}
 
     def foreseen(self, now: Fields, before: Fields, factor: float) -> Fields:
         """The liquid as its last change goes on, once there is one to go by."""

@@ -37,12 +37,12 @@ class LiquidFields:
         return new
 
     def read(self, fields: Fields, composed: bool = True) -> LiquidState:
-        """The liquid that `write` put into a state's fields.
+        """The liquid that `write` put into a state's fields, of which it is a view.
 
         composed : fill in the concentrations, which a start of a solution can do without
         """
         liquid, n = self.around.liquid, self.around.space.n
-        scalars = {name: fields[f"liquid_{name}"].copy() for name in _SCALARS}
+        scalars = {name: fields[f"liquid_{name}"] for name in _SCALARS}
         active = [row > 0 for row in fields["liquid_active"]]
         concentration, charge = np.empty((len(liquid.chemistry.names), n)), np.empty(n)
         if composed:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -13,6 +14,7 @@ from peri.engine import multigrid_kernels
 _COARSEST_CELLS = 150
 _LONGEST_LINE = 20_000
 _SMOOTHING_STEPS = 2
+_INNER = (slice(1, -1),) * 3
 
 
 class LocalMultigrid:
@@ -47,8 +49,8 @@ class LocalMultigrid:
         # Of a cell, the face to its successor.
         t = [face[(slice(None),) * a + (slice(1, None),)] for a, face in enumerate(faces)]
         self.factors = np.ones(3, np.int64)
-        before, between = coarsening_plan(sink.shape, spacing, coarsest_start)
-        for grow in before:
+        self._before, between = coarsening_plan(sink.shape, spacing, coarsest_start)
+        for grow in self._before:
             sink, t = _coarsen(sink, t, grow)
             self.factors *= np.where(grow, 2, 1)
         self.levels = [_Level(sink, t)]
@@ -60,6 +62,18 @@ class LocalMultigrid:
             self.steps.append(tuple(int(v) for v in np.where(grow, 2, 1)))
             self.levels.append(_Level(sink, t))
         self.levels[-1].factorise()
+
+    def with_sink(self, sink: np.ndarray) -> LocalMultigrid:
+        """The same for other row sums, (nx, ny, nz): conductances and work arrays are shared."""
+        other = copy.copy(self)
+        for grow in self._before:
+            sink, _ = _coarsen(sink, [], grow)
+        other.levels = [self.levels[0].with_sink(sink)]
+        for step, level in zip(self.steps, self.levels[1:], strict=True):
+            sink, _ = _coarsen(sink, [], np.array(step) > 1)
+            other.levels.append(level.with_sink(sink))
+        other.levels[-1].factorise()
+        return other
 
     def restrict(self, residual: np.ndarray, reach: tuple[int, ...]) -> np.ndarray:
         """Sum a padded fine-lattice residual into the right side of the first level."""
@@ -144,18 +158,27 @@ class _Level:
 
     def __init__(self, sink: np.ndarray, t: list[np.ndarray]) -> None:
         shape = tuple(n + 2 for n in sink.shape)
-        inner = (slice(1, -1),) * 3
         self.t = []
-        self.diagonal = np.zeros(shape)
-        self.diagonal[inner] = sink
-        for a, face in enumerate(t):
+        for face in t:
             padded = np.zeros(shape)
-            padded[inner] = face
+            padded[_INNER] = face
             self.t.append(padded)
-            self.diagonal += padded + np.roll(padded, 1, axis=a)
+        self._make_diagonal(sink)
+        self.x, self.b, self.d, self.r = (np.zeros(shape) for _ in range(4))
+
+    def _make_diagonal(self, sink: np.ndarray) -> None:
+        self.diagonal = np.zeros(tuple(n + 2 for n in sink.shape))
+        self.diagonal[_INNER] = sink
+        for a, face in enumerate(self.t):
+            self.diagonal += face + np.roll(face, 1, axis=a)
         filled = self.diagonal > 0
         self.inverse = np.where(filled, 1.0 / np.where(filled, self.diagonal, 1.0), 0.0)
-        self.x, self.b, self.d, self.r = (np.zeros(shape) for _ in range(4))
+
+    def with_sink(self, sink: np.ndarray) -> _Level:
+        """See LocalMultigrid.with_sink."""
+        other = copy.copy(self)
+        other._make_diagonal(sink)
+        return other
 
     def smooth(self, from_zero: bool) -> None:
         """Chebyshev steps of the fourth kind for the spectrum (0, 2] of the scaled operator."""

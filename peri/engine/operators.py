@@ -10,6 +10,7 @@ tensors and one-sided stencils are in peri.schemes.
 
 from __future__ import annotations
 
+import copy
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -277,6 +278,12 @@ class Convolution(Operator):
 
     def diagonal(self) -> np.ndarray:
         return self.left * self._diagonal
+
+    def with_diagonal(self, diagonal: np.ndarray) -> Convolution:
+        """The same bonds with another diagonal_i, a padded array."""
+        other = copy.copy(self)
+        other._diagonal = diagonal
+        return other
 
     def faces(self) -> list[np.ndarray]:
         return product_faces(self.sum, self._middle, self._middle, self.coefficient)

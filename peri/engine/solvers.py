@@ -8,6 +8,7 @@ nonlocal diagonal.  It needs no product with the nonlocal operator.
 
 from __future__ import annotations
 
+import copy
 import logging
 from collections.abc import Callable
 
@@ -25,6 +26,11 @@ Extra = Callable[[np.ndarray, np.ndarray], float]
 
 class ConvergenceError(ArithmeticError):
     """The linear solver did not reach its tolerance; the message says how far it came."""
+
+
+def _inverse_of(diagonal: np.ndarray) -> np.ndarray:
+    """1 over a diagonal where it is positive, else 0."""
+    return np.where(diagonal > 0, 1.0 / np.where(diagonal > 0, diagonal, 1.0), 0.0)
 
 
 class LinearSystem:
@@ -70,7 +76,7 @@ class LinearSystem:
         for part in (shift, extra_diagonal):
             if part is not None:
                 full = full + part
-        inverse = np.where(full > 0, 1.0 / np.where(full > 0, full, 1.0), 0.0)
+        inverse = _inverse_of(full)
         if sink is None:
             local = operator.local()
             row_sums = local.sink
@@ -99,7 +105,7 @@ class LinearSystem:
         full = self.operator.diagonal() + extra_diagonal
         if self.shift is not None:
             full = full + self.shift
-        inverse = np.where(full > 0, 1.0 / np.where(full > 0, full, 1.0), 0.0)
+        inverse = _inverse_of(full)
         self.extra = extra
         self._inverse = inverse if self._scale is None else inverse * self._scale
 
@@ -285,3 +291,20 @@ class DiffusionSystem(LinearSystem):
             extra=extra,
             extra_diagonal=extra_diagonal,
         )
+
+    def with_diagonal(self, diagonal: np.ndarray, sink: np.ndarray) -> DiffusionSystem:
+        """The system with another diagonal and its row sums, padded arrays; without `extra`.
+
+        All that the diagonal leaves as it is, work arrays too, is shared: 3 arrays of the lattice
+        are new instead of 16.  The two must not be solved at the same time.
+
+        Raises ValueError for a system with walls or on ranks.
+        """
+        if not isinstance(self.operator, Convolution) or self.processes.multigrid is not None:
+            raise ValueError("with_diagonal: systems without walls, in one process")
+        other = copy.copy(self)
+        other.diagonal, other.operator = diagonal, self.operator.with_diagonal(diagonal)
+        other.extra = None
+        other._inverse = _inverse_of(other.operator.diagonal())
+        other.multigrid = self.multigrid.with_sink((sink * self.mask)[self.sum.interior])
+        return other

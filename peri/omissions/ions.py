@@ -9,7 +9,7 @@ from peri.engine.omission import Omission
 def ion_omissions(problem: Degradation) -> list[Omission]:
     """What of the liquid is not computed, and what that changes."""
     around, options = problem.surroundings, problem.options
-    scene, first = problem.scene, problem.first
+    scene = problem.scene
     found = []
     if not problem.follows_minerals:
         found.append(
@@ -56,7 +56,7 @@ def ion_omissions(problem: Degradation) -> list[Omission]:
             )
         )
     if options.closure == "none" and not problem.stores:
-        bound = around.liquid.potential_bound(first)
+        bound = problem.potential_left_out
         ion = problem.medium.chemistry.names[around.liquid.inert]
         found.append(
             Omission(

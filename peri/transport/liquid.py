@@ -103,6 +103,7 @@ class LiquidSpace:
         self.degree_field = self.sum(self.all_volume)
         self.degree = self.degree_field.ravel()[self.index]
         self.exit = self.gather(self.sum(self.all_volume * self._held))
+        self._pattern: list[DiffusionSystem] = []  # of copies with another degree, too
 
     def gather(self, field: np.ndarray) -> np.ndarray:
         """Return the unknown nodes' values of a padded field, (n,)."""
@@ -151,17 +152,25 @@ class LiquidSpace:
         """Return the linear system of A u + sink u, without the nodes in `held` (n,) bool.
 
         sink : (n,), per volume, 1/m2
+
+        Systems without held nodes share what a sink leaves as it is, so that no two of them can be
+        solved at the same time.
         """
-        volume = self._free_volume
-        keep = np.ones(self.n, bool) if held is None else ~held
-        extra = np.zeros(self.n) if sink is None else sink
-        weight = self.spread(np.where(keep, self.volume, 0.0))
-        diagonal = self.spread(np.where(keep, self.degree + extra, 0.0))
-        exit_ = self.exit + extra
-        if held is not None and held.any():
-            gone = np.where(self.spread(held.astype(float)) > 0, volume, 0.0)
-            exit_ = exit_ + self.gather(self.sum(gone))
-        row_sums = self.spread(np.where(keep, self.volume * exit_, 0.0))
+        extra = 0.0 if sink is None else sink
+        if held is None:
+            diagonal = self.spread(self.degree + extra)
+            row_sums = self.spread(self.volume * (self.exit + extra))
+            if self._pattern:
+                return self._pattern[0].with_diagonal(diagonal, row_sums)
+            self._pattern.append(
+                DiffusionSystem(self.sum, self._free_volume, diagonal, 1.0, row_sums)
+            )
+            return self._pattern[0]
+        weight = self.spread(np.where(held, 0.0, self.volume))
+        diagonal = self.spread(np.where(held, 0.0, self.degree + extra))
+        gone = np.where(self.spread(held.astype(float)) > 0, self._free_volume, 0.0)
+        exit_ = self.exit + extra + self.gather(self.sum(gone))
+        row_sums = self.spread(np.where(held, 0.0, self.volume * exit_))
         return DiffusionSystem(self.sum, weight, diagonal, 1.0, row_sums)
 
     def solve(

@@ -25,8 +25,11 @@ class Migration:
         self.form, self.space = form, space
         self.components = len(chemistry.components)
         self.groups = chemistry.charge_groups()
-        carriers = [np.flatnonzero(weights) for _, _, weights in self.groups]
-        self._carriers = [(k, w[k]) for k, (_, _, w) in zip(carriers, self.groups, strict=True)]
+        # By charge number, so that only the fields of one are needed at a time.
+        self._carriers: dict[float, list[tuple[int, np.ndarray, np.ndarray]]] = {}
+        for e, z, weights in sorted(self.groups, key=lambda group: group[1]):
+            k = np.flatnonzero(weights)
+            self._carriers.setdefault(z, []).append((e, k, weights[k]))
 
     def mobility(self, edge: np.ndarray) -> np.ndarray:
         """sum_k nu_ke z_k D_k C_k of a composition (K,): per change of psi, (E,), mol/m/s."""
@@ -42,21 +45,20 @@ class Migration:
         """
         space, degree = self.space, self.space.gather(self.space.degree_field)
         out = np.zeros((self.components, space.n))
-        steps, shrunk = {}, {}
-        if self.form == "sqra":
-            for z in {z for _, z, _ in self.groups}:
-                steps[z] = steps_of(z, psi)
-                shrunk[z] = space.neighbours(steps[z][1])
-        for (e, z, _), (carriers, weights) in zip(self.groups, self._carriers, strict=True):
-            c, at_edge = weights @ concentration[carriers], float(weights @ edge[carriers])
+        for z, carried in self._carriers.items():
             if self.form == "sqra":
-                grown, around = space.neighbours(steps[z][0] * c), space.neighbours(c, at_edge)
-                out[e] += sqra(c, steps[z], grown, around, shrunk[z], degree)
-            else:
-                fields = space.spread(c, at_edge), space.spread(psi)
-                out[e] += space.gather(
-                    migration(
-                        self.form, space.sum, space.all_volume, *fields, z, space.degree_field
+                steps = steps_of(z, psi)
+                shrunk = space.neighbours(steps[1])
+            for e, carriers, weights in carried:
+                c, at_edge = weights @ concentration[carriers], float(weights @ edge[carriers])
+                if self.form == "sqra":
+                    grown, around = space.neighbours(steps[0] * c), space.neighbours(c, at_edge)
+                    out[e] += sqra(c, steps, grown, around, shrunk, degree)
+                else:
+                    fields = space.spread(c, at_edge), space.spread(psi)
+                    out[e] += space.gather(
+                        migration(
+                            self.form, space.sum, space.all_volume, *fields, z, space.degree_field
+                        )
                     )
-                )
         return out

@@ -18,7 +18,7 @@ to the liquid's relaxation time.
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -183,6 +183,10 @@ class QuasiSteadyLiquid:
     def target(self, state: LiquidState, nodes: np.ndarray | None = None) -> np.ndarray:
         """Pi, (E, n) or at some nodes; exactly 0 for a component that the medium lacks where none
         is resolved."""
+        return self._target_of(state)(slice(None) if nodes is None else nodes)
+
+    def _target_of(self, state: LiquidState) -> Callable[[np.ndarray | slice], np.ndarray]:
+        """`target` of a state, as it is, at nodes that are named later."""
 
         def change(e: int | slice, at: np.ndarray | slice) -> np.ndarray:
             out = (
@@ -193,18 +197,25 @@ class QuasiSteadyLiquid:
                     out -= np.multiply.outer(mineral.nu[e], extent[at])
             return out
 
-        target = self.bulk + change(slice(None), slice(None) if nodes is None else nodes)
         lacking = (self.bulk[:, 0] == 0) & self.composer.only_positive
-        for e in np.flatnonzero(lacking):
-            largest = np.abs(change(int(e), slice(None))).max(initial=0.0)
-            target[e, np.abs(target[e]) <= _RESOLVED * largest] = 0.0
+        unresolved = {
+            int(e): _RESOLVED * np.abs(change(int(e), slice(None))).max(initial=0.0)
+            for e in np.flatnonzero(lacking)
+        }
+
+        def target(nodes: np.ndarray | slice) -> np.ndarray:
+            found = self.bulk + change(slice(None), nodes)
+            for e, amount in unresolved.items():
+                found[e, np.abs(found[e]) <= amount] = 0.0
+            return found
+
         return target
 
     def compose(self, state: LiquidState, nodes: np.ndarray | None = None) -> None:
         """Composition and net charge from the scalar fields, in place; everywhere or at nodes."""
         if nodes is None:
-            state.concentration = self.composer.solve(
-                self.target(state), self.b, state.ln_component
+            self.composer.fill(
+                self._target_of(state), self.b, state.ln_component, state.concentration
             )
             state.net_charge = self.chemistry.charge @ state.concentration
             return
@@ -219,7 +230,8 @@ class QuasiSteadyLiquid:
 
     def inflow(self, state: LiquidState) -> np.ndarray:
         """What diffusion has to carry off besides the release, (E, n): migration and `beside`."""
-        return self.migrate(state) + self.beside
+        migrated = self.migrate(state)
+        return migrated + self.beside if np.ndim(self.beside) else migrated
 
     def _check_current(self) -> None:
         if np.ndim(self.beside) and self.options.closure not in ("electroneutral", "poisson"):

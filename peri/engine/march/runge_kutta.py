@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from peri.engine.march.problem import Attempt, BoundsError, Course, Fields, FirstOrder, Stage, State
@@ -107,27 +108,29 @@ def _try_step(
     state, names = course.state, problem.evolved
     if scheme == "forward_euler":
         return [problem.explicit(state, step)], 0.0
-    old = {name: state.fields[name] for name in names}
-    slope = {name: old[name] - course.previous.fields[name] for name in names}
+    old, previous = {name: state.fields[name] for name in names}, course.previous.fields
     growth = (step / course.previous_step) if course.previous_step else 0.0
 
+    def trend(factor: float) -> Fields:
+        return {name: factor * (old[name] - previous[name]) for name in names}
+
     def foreseen(factor: float) -> Fields:
-        fields = _extrapolated(problem, old, slope, factor)
-        return fields | problem.foreseen(state.fields, course.previous.fields, factor)
+        fields = _extrapolated(problem, old, trend(factor))
+        return fields | problem.foreseen(state.fields, previous, factor)
 
     if scheme == "backward_euler":
         guess = foreseen(growth)
-        expected = {name: growth * slope[name] for name in names}
         share = 1.0 / (1.0 + 1.0 / growth) if growth else 1.0
-        return _first_order(problem, course, step, guess, expected, share)
+        # The trend is worked out when it is needed: a large problem has no room for it before.
+        return _first_order(problem, course, step, guess, lambda: trend(growth), share)
     guess = foreseen(GAMMA * growth)
     middle = state.time + GAMMA * step
     first = problem.stage(old, GAMMA * step, _start(state, guess, middle))
     rate = {name: (first.fields[name] - old[name]) / GAMMA for name in names}
     right = {name: old[name] + (1.0 - GAMMA) * rate[name] for name in names}
     if not problem.continues(first, right):
-        return _first_order(problem, course, step, guess, rate)
-    guess = _extrapolated(problem, old, rate, 1.0)
+        return _first_order(problem, course, step, guess, lambda: rate)
+    guess = _extrapolated(problem, old, rate)
     try:
         passed = State(middle, {**state.fields, **first.fields}, {**state.numbers, **first.numbers})
         start = _start(passed, guess, state.time + step)
@@ -139,7 +142,7 @@ def _try_step(
         # stage cannot tell from slow progress; a first-order step always has one.
         log.debug("first-order step of %.3g s: %s", step, error)
     # The second-order method is not positive for steps that empty or fill a node; this one is.
-    return _first_order(problem, course, step, guess, rate)
+    return _first_order(problem, course, step, guess, lambda: rate)
 
 
 def _first_order(
@@ -147,14 +150,14 @@ def _first_order(
     course: Course,
     step: float,
     guess: Fields,
-    expected: Fields,
+    expected: Callable[[], Fields],
     share: float = 1.0,
 ) -> tuple[list[Stage], float]:
-    """A backward Euler step; expected and share as in Attempt."""
+    """A backward Euler step; share, and what `expected` gives, as in Attempt."""
     state = course.state
     old = {name: state.fields[name] for name in problem.evolved}
     stages = [problem.stage(old, step, _start(state, guess, state.time + step))]
-    return stages, problem.change(_attempt(course, step, stages, expected, share))
+    return stages, problem.change(_attempt(course, step, stages, expected(), share))
 
 
 def _attempt(
@@ -165,9 +168,9 @@ def _attempt(
     )
 
 
-def _extrapolated(problem: FirstOrder, old: Fields, slope: Fields, factor: float) -> Fields:
+def _extrapolated(problem: FirstOrder, old: Fields, change: Fields) -> Fields:
     """Evolved fields, extrapolated and moved within their bounds."""
-    return problem.bounded({name: old[name] + factor * slope[name] for name in old})
+    return problem.bounded({name: old[name] + change[name] for name in old})
 
 
 def _start(state: State, guess: Fields, time: float) -> State:

@@ -14,6 +14,7 @@ done at a time, so that the processor works on vectors.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -30,6 +31,9 @@ _LONGEST_STEP = 2.0
 _MAXIMUM_STEPS = 400
 _THREADED_FROM = 4096
 """Nodes per thread below which threads cost more than they save."""
+_BLOCK = 65536
+"""Nodes, a multiple of the lanes, that are copied and composed at a time: of a large lattice the
+totals of all of them would be gigabytes."""
 
 
 class CompositionError(ArithmeticError):
@@ -284,10 +288,43 @@ class Composer:
 
         Returns the concentrations, (K, n).  Raises CompositionError.
         """
+        out = np.empty((self.weight.size, m.shape[1]))
+        self.fill(lambda nodes: target[:, nodes], b, m, out, tolerance)
+        return out
+
+    def fill(
+        self,
+        target: Callable[[slice], np.ndarray],
+        b: np.ndarray,
+        m: np.ndarray,
+        out: np.ndarray,
+        tolerance: float = TOLERANCE,
+    ) -> None:
+        """As `solve`, the concentrations into `out` (K, n), block by block.
+
+        target : gives S_e of a range of nodes, (E, nodes)
+        """
+        n, failed, lowest = m.shape[1], 0, np.inf
+        for start in range(0, n, _BLOCK):
+            nodes = slice(start, min(start + _BLOCK, n))
+            x, wanted = np.ascontiguousarray(m[:, nodes]), np.ascontiguousarray(target(nodes))
+            constants = b if b.shape[1] == 1 else np.ascontiguousarray(b[:, nodes])
+            found = np.empty((len(out), x.shape[1]))
+            some = self._compose_block(wanted, constants, x, found, tolerance)
+            m[:, nodes], out[:, nodes] = x, found
+            if some:
+                positive = np.where(self.only_positive[:, None], wanted, np.inf)
+                failed, lowest = failed + some, min(lowest, positive.min())
+        if failed:
+            raise CompositionError(
+                f"composition: {failed} of {n} nodes have none; the lowest total of a component "
+                f"that only positive amounts make up is {lowest:.3g}"
+            )
+
+    def _compose_block(
+        self, target: np.ndarray, b: np.ndarray, m: np.ndarray, out: np.ndarray, tolerance: float
+    ) -> int:
         n = m.shape[1]
-        out = np.empty((self.weight.size, n))
-        if not n:
-            return out
         workers = max(1, min(get_num_threads(), n // _THREADED_FROM))
         edges = [_LANES * round(n * w / workers / _LANES) for w in range(workers)] + [n]
 
@@ -298,18 +335,9 @@ class Composer:
             )  # fmt: skip
 
         if workers == 1:
-            results = [part(0)]
-        else:
-            with ThreadPoolExecutor(workers) as pool:
-                results = list(pool.map(part, range(workers)))
-        failed = sum(results)
-        if failed:
-            lowest = np.where(self.only_positive[:, None], target, np.inf).min()
-            raise CompositionError(
-                f"composition: {failed} of {n} nodes have none; the lowest total of a component "
-                f"that only positive amounts make up is {lowest:.3g}"
-            )
-        return out
+            return part(0)
+        with ThreadPoolExecutor(workers) as pool:
+            return sum(pool.map(part, range(workers)))
 
     def concentrations(
         self, m: np.ndarray, b: np.ndarray, out: np.ndarray | None = None

@@ -193,8 +193,10 @@ def _equilibrium(
 ) -> int:
     space, mineral = liquid.space, liquid.minerals[number]
     absolute = max(absolute, 0.1 * liquid.relative * float(np.linalg.norm(space.volume * lowest)))
-    base = liquid.target(state) + mineral.nu[:, None] * state.extents[number]
     active = state.active[number]
+    may = mineral.region | active
+    at, place = np.flatnonzero(may), np.cumsum(may) - 1
+    base = liquid.target(state, at) + mineral.nu[:, None] * state.extents[number, at]
     obstacle = np.full(space.n, np.nan)
     iterations = 0
     for _ in range(_MAXIMUM_ROUNDS):
@@ -202,7 +204,7 @@ def _equilibrium(
         if new.any():
             m = state.ln_component[:, new].copy()
             obstacle[new] = saturate(
-                liquid.composer, base[:, new], liquid.b, m,
+                liquid.composer, base[:, place[new]], liquid.b, m,
                 mineral.nu[None, :], np.full((1, int(new.sum())), mineral.constant),
             )[0]  # fmt: skip
         extent = np.where(active, obstacle, state.extents[number])

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from peri.transport.chemistry import composition
 from peri.transport.chemistry.composition import Composer
 from peri.transport.chemistry.species import MOLAR
 from tests.peri.transport.chemistries import SBF, chemistry
@@ -43,3 +44,14 @@ def test_sensitivity_to_what_a_mineral_takes_equals_the_dense_inverse() -> None:
     ]
     assert composer.sensitivity(found, taken) == pytest.approx(dense, rel=1e-9)
     assert (np.asarray(dense) > 0).all()
+
+
+def test_blocks_compose_as_one_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    composer, target, b, m, found = composed()
+    monkeypatch.setattr(composition, "_BLOCK", 8)
+    started, out = np.full(m.shape, -5.0), np.empty_like(found)
+    composer.fill(lambda nodes: target[:, nodes], b, started, out)
+    assert (out == found).all() and (started == m).all()
+    target[chemistry("sbf").components.index("Ca"), [2, 18]] = -1.0
+    with pytest.raises(composition.CompositionError, match="2 of 20 nodes have none.* is -1"):
+        composer.solve(target, b, np.full(m.shape, -5.0))
