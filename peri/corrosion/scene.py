@@ -26,6 +26,7 @@ from peri.engine.influence import Stencil, closed_strength, diffusion_stencil, f
 from peri.engine.lattice import Lattice
 
 if TYPE_CHECKING:
+    from peri.engine.surface.flat_front import FlatFront
     from peri.engine.surface.rate_classes import CellExposure
 
 
@@ -311,6 +312,12 @@ class CorrosionScene:
     def stencil(self) -> Stencil:
         """Bond weights of unit diffusivity."""
         return self._stencil
+
+    def cut_cell_stencil(self, front: FlatFront) -> Stencil:
+        """Bond weights between the shares of cells that a moving surface cuts, 1/m^2."""
+        from peri.engine.surface.share_weights import share_stencil  # loads scipy.optimize
+
+        return share_stencil(self.stencil, front)
 
     @property
     def interface_stencil(self) -> Stencil:

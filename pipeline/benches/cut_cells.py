@@ -22,12 +22,19 @@ from peri.engine.surface.triangles import Surface
 from peri.omissions.reduced import ReducedCorrosion, factor_of
 from pipeline.benches.moving_front import (
     edged_bodies,
+    layered_plates,
     moving_balls,
     moving_plates,
     saturated_balls,
+    stefan_fronts,
 )
 from pipeline.benches.result import Result
-from pipeline.benches.saturated_liquid import ball_in_own_liquid, screw_setup, screw_step
+from pipeline.benches.saturated_liquid import (
+    ball_in_own_liquid,
+    screw_marches,
+    screw_setup,
+    screw_step,
+)
 from pipeline.geometry.cell_shares import cell_shares
 
 Array = NDArray[np.float64]
@@ -48,16 +55,17 @@ def cut_cells() -> list[Result]:
         _measure((2, 3, 4), 5, 5)
         + resting_cut_cells()
         + moving
-        + moving_plates((2, 4), 0.05)
+        + moving_plates((2,), 0.05)
+        + layered_plates((2, 3, 4), 5, 0.05)
+        + stefan_fronts((2, 3, 4, 6), 0.1)
         + edged_bodies((2, 3, 4), 0.03)
     )
 
 
 def resting_cut_cells() -> list[Result]:
     """What classes cost on the screw, and the ball in its own liquid."""
-    return (
-        screw_step(3) + screw_setup((2, 4)) + ball_in_own_liquid(round_surface(1.0, 4), (2, 3, 4))
-    )
+    ball = ball_in_own_liquid(round_surface(1.0, 4), (2, 3, 4))
+    return screw_step(3) + screw_setup((2, 4)) + screw_marches() + ball
 
 
 def small_cut_cells() -> list[Result]:
@@ -67,7 +75,8 @@ def small_cut_cells() -> list[Result]:
         _measure((2,), 2, 4)
         + ball_in_own_liquid(surface, (2,))
         + moving_balls(surface, (2,), 1, 0.1)
-        + moving_plates((2,), 0.1)
+        + layered_plates((2,), 2, 0.1)
+        + stefan_fronts((2, 3), 0.3)
     )
 
 

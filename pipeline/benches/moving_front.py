@@ -4,8 +4,10 @@ The ball has three horizons' radius; the reference is the same nonlocal model in
 Errors are the largest over 10, 20, 33, 50 and 67 % of V_L, medians over positions of the lattice.
 A cube of three horizons and a cylinder as wide and high have edges and no reference: their V_L is
 compared with that of delta/4, the largest difference over five times up to V_L = 0.8.  A plate of
-three horizons loses V_L = t/1.5 by Faraday's law, whatever the horizon, until it is one thick; wide
-enough for its middle to see no edge, it lies along the lattice and across it twice.  A ball of
+three horizons loses V_L = t/1.5 by Faraday's law, whatever the horizon, until it is one thick; it
+lies along the lattice and across it twice, by layers (without edges), and at delta/2 as a body,
+wide enough for its middle to see no edge.  Steel that saturates its liquid at once, its mouth held
+at zero, has Stefan's front 2 lambda sqrt(D t) but for the horizon.  A ball of
 two horizons in liquid that it saturates (C_sat = C_solid/100, held clean beyond 3.5 horizons, D =
 20 in units of horizon times flux over C_solid) has both limits at once: delta/2 against delta/3.
 """
@@ -17,6 +19,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
+from peri.corrosion.classes.layers import LayeredScene, plate_layers
 from peri.corrosion.kinetics import ConstantRate
 from peri.corrosion.run import corrode
 from peri.corrosion.scene import CorrosionScene
@@ -37,6 +40,12 @@ LAWS = {"proportional": 1e-5, "faradaic": 1e-5}
 """C_sat/C_solid by law."""
 NORMALS = ((1, 0), (1, 1), (2, 1))
 """Of the plates, in x and y."""
+_STEEL = {
+    "solid_concentration": 143e3, "saturation_concentration": 5.1e3, "liquid_diffusivity": 8.5e-10,
+}  # fmt: skip
+"""304 steel in its own salt: mol/m3 and m2/s."""
+_STEFAN, _SECONDS = 0.13516, 100.0
+"""Lambda of its front 2 lambda sqrt(D t), and the time."""
 
 
 def moving_balls(
@@ -112,6 +121,100 @@ def moving_plates(ratios: tuple[int, ...], rate_change: float) -> list[Result]:
                 Result(f"{name}: march", seconds, "s processor"),
             ]
     return results
+
+
+def layered_plates(ratios: tuple[int, ...], positions: int, rate_change: float) -> list[Result]:
+    """Errors of V_L of plates under Faraday's law, by their normal, over places in a cell.
+
+    The mean over the places is what no place of the lattice takes away; the spread is the range.
+    """
+    results = []
+    thick = 0.5 * WIDTH
+    for normal in NORMALS:
+        for ratio in ratios:
+            start = time.process_time()
+            found = [
+                corrode(
+                    layered_plate(normal, ratio, place), thick * LOSSES,
+                    TimeStepping(rate_change=rate_change),
+                )
+                for place in (np.arange(positions) + 0.5) / positions
+            ]  # fmt: skip
+            seconds = (time.process_time() - start) / positions
+            off = np.array([march.volume_loss / LOSSES - 1 for march in found])
+            balance = max(np.abs(march.history["balance_error"]).max() for march in found)
+            name = f"dissolving plate, normal ({normal[0]} {normal[1]} 0), delta/{ratio}"
+            target = {4: "<= 6e-3"}.get(ratio)
+            worst = float(np.median(np.abs(off).max(axis=1)))
+            results += [
+                Result(f"{name}: error of V_L", worst, "1", target),
+                Result(f"{name}: mean over places", float(np.abs(off.mean(axis=0)).max()), "1"),
+                Result(f"{name}: spread over places", float(np.ptp(off, axis=0).max()), "1"),
+                Result(f"{name}: balance", float(balance), "1", "<= 1e-12"),
+                Result(f"{name}: march", seconds, "s processor"),
+            ]
+    return results
+
+
+def layered_plate(normal: tuple[int, int], ratio: int, place: float) -> LayeredScene:
+    """A plate in liquid held at zero, by layers; place: of its face in a layer, 0 to 1."""
+    spacing = 1.0 / ratio
+    apart = spacing / float(np.hypot(*normal))
+    count = np.ceil(np.array([1.0, WIDTH + 1.0]) / apart).astype(int) + 3
+    depth = (np.arange(-count[0], count[1]) + place) * apart
+    seen = plate_layers(depth, WIDTH, spacing, 1.0, normal)
+    fraction = seen.metal.fraction
+    held = np.where(fraction < 1, 1.0, 0.0)
+    return LayeredScene(
+        Lattice((0.0,) * 3, (spacing,) * 3, fraction.shape), 1.0, fraction > 0,
+        solid_concentration=1.0, saturation_concentration=LAWS["faradaic"],
+        liquid_diffusivity=1e8, dissolution_flux=1.0, dissolution="faradaic",
+        kinetics=ConstantRate(), exposure=CellExposure(seen.metal, seen.liquid, None, held),
+        normal=normal,
+    )  # fmt: skip
+
+
+def stefan_fronts(ratios: tuple[int, ...], rate_change: float) -> list[Result]:
+    """The front of steel that saturates its liquid, a horizon of 10 um, against its own limit.
+
+    The limit is what the two finest ratios extrapolate to at second order.  The order is that of
+    the horizon against Stefan's front, from 20, 10 and 5 um at four spacings.
+    """
+    exact = 2 * _STEFAN * np.sqrt(_STEEL["liquid_diffusivity"] * _SECONDS)
+    depth = {m: stefan_depth(1e-5, m, rate_change) for m in ratios}
+    coarse, fine = sorted(ratios)[-2:]
+    limit = depth[fine] + (depth[fine] - depth[coarse]) / ((fine / coarse) ** 2 - 1)
+    name = "Stefan front, horizon 10 um"
+    results = [
+        Result(f"{name}, delta/{m}: off its limit", abs(depth[m] / limit - 1), "1", "<= 3e-3")
+        for m in ratios
+    ]
+    results.append(Result(f"{name}: limit off Stefan's", limit / exact - 1, "1"))
+    off = [stefan_depth(horizon, 4, rate_change) / exact - 1 for horizon in (2e-5, 1e-5, 5e-6)]
+    for wide, order in zip((20, 10), -np.diff(np.log2(off)), strict=True):
+        words = f"Stefan front, delta/4: order in the horizon from {wide} um"
+        results.append(Result(words, float(order), "1", "0.9 to 1.3"))
+    return results
+
+
+def stefan_depth(horizon: float, ratio: int, rate_change: float) -> float:
+    """Metal lost per area and C_solid (m) of steel whose mouth is held at zero, after 100 s."""
+    spacing, deep = horizon / ratio, 1.2e-4
+    cells = np.arange(-ratio - 1, int(np.ceil((deep + 2 * horizon) / spacing)))
+    depth = (cells + 0.5) * spacing
+    seen = plate_layers(depth, 10 * deep, spacing, horizon, (1, 0))
+    shape = seen.metal.fraction.shape
+    inside = np.clip(depth / spacing + ratio + 0.5, 0.0, 1.0).reshape(shape)
+    held = np.minimum(inside, 1.0 - seen.metal.fraction)
+    scene = LayeredScene(
+        Lattice((0.0,) * 3, (spacing,) * 3, shape), horizon, seen.metal.fraction > 0,
+        interface_diffusivity=1e3 * _STEEL["liquid_diffusivity"], kinetics=ConstantRate(),
+        exposure=CellExposure(seen.metal, seen.liquid, inside, held), **_STEEL,
+    )  # fmt: skip
+    amount = corrode(scene, [_SECONDS], TimeStepping(rate_change=rate_change)).history[
+        "metal_amount"
+    ]
+    return float(amount[0] - amount[-1]) / (scene.solid_concentration * spacing**2)
 
 
 def plate_of(across: int, along: int) -> Surface:

@@ -2,22 +2,29 @@
 
 The screw has the kinetics of Mg-10Gd, whose liquid saturates; a step is one of a fixed day, on the
 same lattice with classes and with one rate per node, by turns.  The set-up is that of a run: the
-solid's exposure on the lattice.  The ball has two horizons' radius and Mg-10Gd's constants without
-its kinetics; the reference is the same nonlocal model in radial shells.
+solid's exposure on the lattice.  The march of 56 days is that of a run, too, without the set-up, on
+the coarsest lattice that `study corrosion` found within 1 %; its V_L after 7, 28 and 56 days is
+compared with what that study's two finest lattices extrapolate to.  The ball has two horizons'
+radius and Mg-10Gd's constants without its kinetics; the reference is the same nonlocal model in
+radial shells.
 """
 
 from __future__ import annotations
 
+import csv
 import math
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from peri.corrosion.run import corrode
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.march.marching import TimeStepping
 from peri.engine.surface.triangles import Surface
+from peri.omissions.planning import corrode_lean
 from peri.reference.saturated_ball import saturated_ball
 from pipeline.benches.moving_front import in_own_liquid
 from pipeline.benches.result import Result
@@ -33,6 +40,7 @@ from pipeline.stages.corrosion import (
 )
 from pipeline.stages.exposure import solid_exposure
 from pipeline.stages.geometry import build_solid
+from pipeline.studies import corrosion as study
 
 DAY, ALLOY = 86400.0, "Mg-10Gd"
 CLASSES, STEPS = 3, 14
@@ -46,7 +54,7 @@ TIMES = np.array([1.0, 3.0, 7.0]) / 17.0845
 def screw_step(pairs: int) -> list[Result]:
     """Processor time of fixed steps with classes over that by nodes at delta/2, by turns."""
     solid = build_solid(_settings(2, 0))
-    scenes = [_scene(_settings(2, classes), solid) for classes in (0, CLASSES)]
+    scenes = [_scene(_settings(2, classes), solid, ALLOY) for classes in (0, CLASSES)]
     stepping = TimeStepping("sdirk2", step=DAY)
     for scene in scenes:  # compiles
         corrode(scene, [DAY], stepping)
@@ -84,6 +92,36 @@ def screw_setup(ratios: tuple[int, ...]) -> list[Result]:
     return results
 
 
+def screw_marches() -> list[Result]:
+    """Processor time and errors of V_L of the lattices that are within 1 % to 56 days."""
+    results = []
+    for alloy, ratio, target in (("Mg-5Gd", 2, "<= 2"), ("Mg-10Gd", 4, "<= 20")):
+        settings = _settings(ratio, CLASSES, alloy)
+        scene = _scene(settings, build_solid(settings), alloy)
+        stepping = TimeStepping(rate_change=settings.corrosion.rate_change)
+        start = time.process_time()
+        found, _ = corrode_lean(scene, study.TIMES, stepping)
+        seconds = time.process_time() - start
+        error = study.relative_error(found.volume_loss, _limit(alloy))
+        name = f"screw, {alloy}, 56 d, delta/{ratio}"
+        results += [
+            Result(f"{name}: error of V_L", error, "1", "<= 1e-2"),
+            Result(f"{name}: march", seconds, "s processor", target),
+        ]
+    return results
+
+
+def _limit(alloy: str) -> NDArray[np.float64]:
+    """V_L at the study's times without a lattice, from its table."""
+    with (Path(study.__file__).parent / "corrosion.csv").open(encoding="utf-8") as table:
+        rows = [r for r in csv.DictReader(table) if r["alloy"] == alloy]
+    losses = {
+        int(r["horizon_ratio"]): np.array([float(r[f"volume_loss_{d}d"]) for d in (7, 28, 56)])
+        for r in rows if r["curve"].startswith("rate classes")
+    }  # fmt: skip
+    return study.extrapolated(losses)[0]
+
+
 def ball_in_own_liquid(surface: Surface, ratios: tuple[int, ...]) -> list[Result]:
     """Largest errors of V_L over 1, 3 and 7 days, and their observed order; one position each.
 
@@ -111,16 +149,16 @@ def ball_in_own_liquid(surface: Surface, ratios: tuple[int, ...]) -> list[Result
     return results
 
 
-def _settings(ratio: int, classes: int) -> Scene:
+def _settings(ratio: int, classes: int, alloy: str = ALLOY) -> Scene:
     """The quick scene on a lattice of horizon/ratio."""
-    scene = resolve_scene([ALLOY], ["0w", "8w"], "quick")
+    scene = resolve_scene([alloy], ["0w", "8w"], "quick")
     lattice = replace(scene.lattice, spacing=scene.lattice.horizon / ratio)
     return replace(scene, lattice=lattice, corrosion=replace(scene.corrosion, classes=classes))
 
 
-def _scene(scene: Scene, solid: Solid) -> CorrosionScene:
+def _scene(scene: Scene, solid: Solid, alloy: str) -> CorrosionScene:
     region = liquid_domain(scene, solid.points)
     lattice, domain = domain_lattice(scene, region)
     metal, fraction = metal_of(scene, lattice, solid)
     exposure = exposure_of(scene, lattice, region, solid, fraction)
-    return corrosion_scene(scene, ALLOY, lattice, domain, metal, fraction, exposure)
+    return corrosion_scene(scene, alloy, lattice, domain, metal, fraction, exposure)

@@ -35,7 +35,6 @@ from peri.engine.influence import closed_constant, closed_strength
 from peri.engine.operators import NonlocalSum
 from peri.engine.solvers import DiffusionSystem
 from peri.engine.surface.flat_front import FlatFront
-from peri.engine.surface.share_weights import share_stencil
 
 _SMALLEST_SHARE = 1e-3
 """Cells with a smaller share of liquid hold none (of a thousandth of a cell's flux)."""
@@ -142,7 +141,7 @@ class Volumes:
     def _seen_metal(self, volume: Array) -> Array:
         """sum_j k_ij f_j by weights for cut cells, 1/m^2, padded."""
         if self._front_sum is None:
-            weights = share_stencil(self.scene.stencil, self.columns.front)
+            weights = self.scene.cut_cell_stencil(self.columns.front)
             rows = self._reached()
             self._front_sum = NonlocalSum(weights, self.scene.lattice.shape, rows)
             self._at_first = self._front_sum(self.scatter(self.initial_volume))
