@@ -30,7 +30,8 @@ class ImmersionResult:
     """One alloy after one immersion time, held in one way; None where a stage has not run.
 
     curve: columns of tensile.csv by name; damage: (nc, nq) corrosion damage f0 at the quadrature
-    points; tensile: content of tensile.json; map_numbers: what the map stage measured.
+    points; tensile: content of tensile.json; map_numbers: what the map stage measured;
+    map_exponent: with which it scaled the interpolated damage (damage_map.scaled_damage).
     """
 
     label: str
@@ -41,6 +42,7 @@ class ImmersionResult:
     tensile: dict = field(default_factory=dict)
     map_numbers: dict = field(default_factory=dict)
     load: str = "axial"
+    map_exponent: float = 1.0
 
     @property
     def names(self) -> LoadNames:
@@ -186,7 +188,7 @@ def _read_alloy(
     for time in scene.with_intact():
         place = folder.test(name, time.label, hold.name)
         curve = _read_columns(place / "tensile.csv")
-        damage = _read_damage(place / "damage.h5") if fields else None
+        damage, exponent = _read_damage(place / "damage.h5") if fields else (None, 1.0)
         if fields and damage is None:
             missing.append(f"the damage map of {name}{held} after {time.label}")
         if column(curve, names.abscissa) is None or column(curve, names.reaction) is None:
@@ -211,6 +213,7 @@ def _read_alloy(
                 tensile=tensile,
                 map_numbers=dict(record.numbers) if record else {},
                 load=hold.tensile.load,
+                map_exponent=exponent,
             )
         )
     corrosion = folder.read_record(folder.corrosion(name), "corrode")
@@ -251,12 +254,13 @@ def _number(text: str | None) -> float:
         return float("nan")
 
 
-def _read_damage(path: Path) -> NDArray[np.float64] | None:
+def _read_damage(path: Path) -> tuple[NDArray[np.float64] | None, float]:
+    """f0, and the exponent of the map: 1, the interpolation itself, where none is noted."""
     try:
         with h5py.File(path) as file:
-            return file["f0"][:].astype(float)
+            return file["f0"][:].astype(float), float(file.attrs.get("exponent", 1.0))
     except (OSError, KeyError):
-        return None
+        return None, 1.0
 
 
 def _read_json(path: Path) -> dict:

@@ -1,8 +1,8 @@
 """Which pictures a report shows: the corroded solid per alloy and time, whole and cut open.
 
 The field is the lattice's, mapped onto a refinement of the mesh as the damage map does it
-(pipeline.stages.damage_map), without its upper bound; without corrosion.h5 it is the damage map
-itself.
+(pipeline.stages.damage_map), with its exponent and without its upper bound; without corrosion.h5
+it is the damage map itself.
 """
 
 import logging
@@ -18,7 +18,7 @@ from pipeline.record.machine import processor_cores
 from pipeline.record.run_folder import RunFolder
 from pipeline.record.run_results import AlloyResult, ImmersionResult, RunResults
 from pipeline.report.pictures import Cut, PictureRequest, refine_tetrahedra, render_pictures
-from pipeline.stages.damage_map import map_damage
+from pipeline.stages.damage_map import map_damage, scaled_damage
 
 logger = logging.getLogger(__name__)
 
@@ -93,7 +93,7 @@ def damage_field(
         with h5py.File(path) as file:
             number = np.flatnonzero(np.isclose(file["times"][:], item.seconds, rtol=1e-9))
             if number.size:
-                return map_damage(
+                found = map_damage(
                     points,
                     file["lattice/origin"][:],
                     file["lattice/spacing"][:],
@@ -102,6 +102,7 @@ def damage_field(
                     solid,
                     maximum_damage=1.0,
                 )
+                return scaled_damage(found, item.map_exponent)
     except (OSError, KeyError, ValueError) as error:
         logger.info("%s is not used for pictures: %s", path, error)
     if item.damage is None or len(item.damage) != len(run.cells):

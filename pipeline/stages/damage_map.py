@@ -129,25 +129,63 @@ def compare_lost_volume(
     }
 
 
-def conserved_damage(damage: np.ndarray, weights: np.ndarray, lost_volume: float) -> np.ndarray:
-    """Damage 1 - (1 - f)^s with one s for the whole mesh, so that it has lost `lost_volume` (m^3).
+def conserving_map(
+    points: np.ndarray,
+    weights: np.ndarray,
+    origin: Sequence[float],
+    spacing: float | Sequence[float],
+    concentration: np.ndarray,
+    metal: np.ndarray,
+    solid_concentration: float,
+    capacity: np.ndarray,
+) -> tuple[np.ndarray, float, dict[str, float]]:
+    """The map of a run: damage interpolated (`map_damage`), scaled to lose what the lattice lost.
+
+    points (nc, nq, 3) and weights (nc, nq), m and m^3, are those of the mesh; lattice and field as
+    for `map_damage`; capacity (nx, ny, nz) as for `compare_lost_volume`.  Returns the damage
+    (nc, nq), not cut off, the exponent (`conserving_exponent`), and the volumes lost before it was
+    applied (`compare_lost_volume`).
+    """
+    lattice = (origin, spacing, concentration, metal, solid_concentration)
+    damage = map_damage(points, *lattice, 1.0)
+    lost = compare_lost_volume(
+        damage, weights, spacing, concentration, metal, capacity, solid_concentration
+    )
+    exponent = conserving_exponent(damage, weights, lost["lattice_lost_volume"])
+    return scaled_damage(damage, exponent), exponent, lost
+
+
+def scaled_damage(damage: np.ndarray, exponent: float) -> np.ndarray:
+    """Damage 1 - (1 - f)^s of any shape, s >= 0 or infinite: what has none keeps none."""
+    scaled = np.zeros_like(damage)
+    touched = damage > 0.0
+    if exponent > 0.0:
+        with np.errstate(divide="ignore"):
+            left = np.log1p(-damage[touched])  # -inf where nothing is left
+        scaled[touched] = -np.expm1(exponent * left)
+    return scaled
+
+
+def conserving_exponent(damage: np.ndarray, weights: np.ndarray, lost_volume: float) -> float:
+    """The one s with which a mesh of damage 1 - (1 - f)^s has lost `lost_volume` (m^3).
 
     damage (nc, nq), interpolated and not cut off; weights (nc, nq), m^3.  Conserved: the lost
     volume, to round-off.  Metal without damage keeps none, f stays within [0, 1] and keeps its
     order in space.  In clean liquid, where ln(1 - f) is proportional to the dose that a point has
     seen, s is a factor of that dose: the correction goes where damage is being done, and where
     nothing is left nothing is added.  Where the damaged part of the mesh is too small to have lost
-    as much, all of it is gone; where what is gone as a whole is too much, the damage stays.
+    as much, s is infinite and all of that part is gone; where what is gone as a whole is too much,
+    s is 1 and the damage stays.
     """
     present = lost_volume_on_mesh(damage, weights)
     if lost_volume <= 0.0 or present <= 0.0:
-        return np.zeros_like(damage) if lost_volume <= 0.0 else damage
+        return 0.0 if lost_volume <= 0.0 else 1.0
     touched = damage > 0.0
     held, gone = weights[touched], damage[touched] >= 1.0
     if not held[gone].sum() < lost_volume < held.sum() * (1.0 - _GONE):
-        return touched.astype(float) if lost_volume > present else damage
+        return np.inf if lost_volume > present else 1.0
     with np.errstate(divide="ignore"):
-        left = np.log1p(-damage[touched])  # -inf where nothing is left
+        left = np.log1p(-damage[touched])
 
     def excess(logarithm: float) -> float:
         return float(-np.expm1(np.exp(logarithm) * left) @ held) / lost_volume - 1.0
@@ -157,10 +195,7 @@ def conserved_damage(damage: np.ndarray, weights: np.ndarray, lost_volume: float
         low -= 1.0
     while excess(high) < 0.0:
         high += 1.0
-    exponent = np.exp(brentq(excess, low, high, xtol=1e-15, rtol=1e-15))
-    scaled = np.zeros_like(damage)
-    scaled[touched] = -np.expm1(exponent * left)
-    return scaled
+    return float(np.exp(brentq(excess, low, high, xtol=1e-15, rtol=1e-15)))
 
 
 def net_section(

@@ -13,10 +13,8 @@ from pipeline.scene.scene import HoldScene, Scene
 from pipeline.scene.units import ImmersionTime
 from pipeline.stages.corrosion import CORROSION_FILE
 from pipeline.stages.damage_map import (
-    compare_lost_volume,
-    conserved_damage,
+    conserving_map,
     lost_volume_on_mesh,
-    map_damage,
     net_section,
 )
 
@@ -54,11 +52,9 @@ def map_in_folder(
     concentration, metal = fields["concentration"][number], fields["metal"]
 
     maximum = 1.0 / material.q1
-    whole = map_damage(points, *lattice, concentration, metal, solid, 1.0)
-    lost = compare_lost_volume(
-        whole, weights, lattice[1], concentration, metal, fields["capacity"], solid
+    whole, exponent, lost = conserving_map(
+        points, weights, *lattice, concentration, metal, solid, fields["capacity"]
     )
-    whole = conserved_damage(whole, weights, lost["lattice_lost_volume"])
     damage, volume = np.minimum(whole, maximum), float(weights.sum())
     numbers = {
         "mean_corrosion_damage": float((damage * weights).sum() / volume),
@@ -70,7 +66,7 @@ def map_in_folder(
     }
     if one_per_cell:
         damage = ((damage * weights).sum(axis=1) / weights.sum(axis=1))[:, None]
-    write_damage(out / DAMAGE_FILE, damage, moment, hold.tensile.element)
+    write_damage(out / DAMAGE_FILE, damage, moment, hold.tensile.element, exponent)
     return [out / DAMAGE_FILE], numbers
 
 
@@ -95,14 +91,20 @@ def _net_section_left(
     return float(now / intact) if intact > 0.0 else None
 
 
-def write_damage(path: Path, damage: np.ndarray, moment: ImmersionTime, element: str) -> None:
-    """Store f0 (nc, nq or 1), in the order of the mesh's cells, in one step."""
+def write_damage(
+    path: Path, damage: np.ndarray, moment: ImmersionTime, element: str, exponent: float
+) -> None:
+    """Store f0 (nc, nq or 1), in the order of the mesh's cells, in one step.
+
+    exponent: of the map (damage_map.scaled_damage), by which the report maps to other points.
+    """
     temporary = path.with_name(f".{path.name}.tmp")
     with h5py.File(temporary, "w") as file:
         file.attrs["schema_version"] = SCHEMA_VERSION
         file.attrs["element"] = element
         file.attrs["immersion"] = moment.label
         file.attrs["immersion_seconds"] = moment.seconds
+        file.attrs["exponent"] = exponent
         data = file.create_dataset("f0", data=damage, compression="lzf")
         data.attrs["unit"] = "1"
         data.attrs["dimensions"] = "cell, quadrature point"

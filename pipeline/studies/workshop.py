@@ -7,19 +7,24 @@ their own, one thread each, and what they return is a row of a table.
 from __future__ import annotations
 
 import csv
+import hashlib
+import json
 import multiprocessing
 import os
 import signal
+import tempfile
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict, dataclass, fields
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.record.children import end_with_parent
 from pipeline.record.machine import child_environment
+from pipeline.record.run_folder import write_json
 from pipeline.scene.resolve import resolve_scene
 from pipeline.scene.scene import Scene
 from pipeline.scene.units import parse_immersion_times
@@ -36,7 +41,8 @@ class Pull:
     that of the quick lattice; samples: how often the edges of a cell are halved for the mean of f0
     over it (fem.quadrature.sampling_points; 1 in a run), None: f0 at the quadrature points; grip:
     length held at either end, 0: the end faces, None: the shank, as in a run (scene.holding);
-    ends: edge length at both end faces, None: as elsewhere.
+    ends: edge length at both end faces, None: as elsewhere; peak_drop: fall of the force below its
+    peak, relative, that ends the test, None: as in a run.
     """
 
     curve: str
@@ -54,6 +60,7 @@ class Pull:
     samples: int | None = 1
     grip: float | None = None
     ends: float | None = None
+    peak_drop: float | None = None
 
     def setting(self) -> tuple:
         """Everything but what is pulled."""
@@ -98,7 +105,9 @@ published statements, and meshes among each other, are compared on."""
 class Workshop:
     """Solid, fields and meshes of the reference screw in a folder, each made when first asked for.
 
-    The screw is gripped as in a run unless a pull says otherwise.
+    The screw is gripped as in a run unless a pull says otherwise.  Fields, meshes and what a pull
+    found stay in the folder and are taken from there; those of another code must be deleted by
+    whoever changes it.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -142,6 +151,12 @@ class Workshop:
         if rate_change is not None:
             changes["corrosion"] = {**changes.get("corrosion", {}), "rate_change": rate_change}
         scene = self.scene(alloy, immersion, spacing=spacing, **changes)
+        done = self.folder / f"march-{name}-{alloy}.json"
+        mark = hashlib.sha256(repr(scene).encode()).hexdigest()
+        if done.exists() and (kept := json.loads(done.read_text()))["scene"] == mark:
+            self.corrosion_seconds[alloy, name] = kept["seconds"]
+            self._set_up(scene.lattice.spacing, kept["setup_seconds"])
+            return kept["seconds"]
         solid = self.solid(scene)
         begun = time.process_time()
         region = liquid_domain(scene, solid.points)
@@ -149,9 +164,7 @@ class Workshop:
         metal, fraction = metal_of(scene, lattice, solid)
         exposed = exposure_of(scene, lattice, region, solid, fraction, self.folder)
         march = corrosion_scene(scene, alloy, lattice, domain, metal, fraction, exposed)
-        self.setup_seconds[scene.lattice.spacing] = max(
-            time.process_time() - begun, self.setup_seconds.get(scene.lattice.spacing, 0.0)
-        )
+        setup = self._set_up(scene.lattice.spacing, time.process_time() - begun)
         begun = time.process_time()
         times = scene.with_intact()
         result, _ = corrode_lean(
@@ -173,7 +186,13 @@ class Workshop:
                 volume_loss=loss,
             )  # fmt: skip
         self.corrosion_seconds[alloy, name] = seconds
+        write_json(done, {"scene": mark, "seconds": seconds, "setup_seconds": setup})
         return seconds
+
+    def _set_up(self, spacing: float, seconds: float) -> float:
+        """The most that metal and surface took on a lattice: later marches read the surface."""
+        most = self.setup_seconds[spacing] = max(seconds, self.setup_seconds.get(spacing, 0.0))
+        return most
 
     def field(self, name: str, alloy: str, immersion: str) -> Path:
         """File of a corrosion field that `corrode` stored."""
@@ -194,9 +213,21 @@ class Workshop:
         self, pulls: Iterable[Pull], workers: int, done: Callable[[Row], None],
         limit: float = LIMIT_SECONDS,
     ) -> list[Row]:  # fmt: skip
-        """Run pulls, `workers` at a time; `done` hears each row; the order is that of the pulls."""
+        """Run pulls, `workers` at a time; `done` hears each row; the order is that of the pulls.
+
+        A pull that the folder has is not done again, unless it was given up at a lower limit.
+        """
         pulls = list(pulls)
-        for sizes in {(p.mesh_size, p.mesh_size_fine, p.ends): None for p in pulls}:
+        rows: dict[int, Row] = {}
+        for number, pull in enumerate(pulls):
+            kept = self._kept(pull, limit)
+            if kept is not None:
+                rows[number] = kept
+                done(kept)
+        left = {n: pull for n, pull in enumerate(pulls) if n not in rows}
+        if not left:
+            return [rows[n] for n in range(len(pulls))]
+        for sizes in {(p.mesh_size, p.mesh_size_fine, p.ends): None for p in left.values()}:
             self.mesh(*sizes)
         before = dict(os.environ)  # what is spawned inherits it
         os.environ.update(child_environment(ranks=1, threads=1))
@@ -205,17 +236,43 @@ class Workshop:
                 workers, multiprocessing.get_context("spawn"), _warm_up
             ) as pool:
                 waiting = {
-                    pool.submit(pull_once, self.folder, pull, limit): n
-                    for n, pull in enumerate(pulls)
+                    pool.submit(pull_once, self.folder, pull, limit): n for n, pull in left.items()
                 }
-                rows: dict[int, Row] = {}
                 for future in as_completed(waiting):
-                    rows[waiting[future]] = future.result()
-                    done(future.result())
+                    row = rows[waiting[future]] = future.result()
+                    write_rows([row], self._row_path(row))
+                    done(row)
         finally:
             os.environ.clear()
             os.environ.update(before)
         return [rows[n] for n in range(len(pulls))]
+
+    def _row_path(self, pull: Pull) -> Path:
+        said = {f.name: getattr(pull, f.name) for f in fields(Pull)[2:]}
+        plain = {f.name: f.default for f in fields(Pull)}
+        what = json.dumps({name: said[name] for name in said if said[name] != plain[name]})
+        return self.folder / f"pull-{hashlib.sha256(what.encode()).hexdigest()[:16]}.csv"
+
+    def _kept(self, pull: Pull, limit: float) -> Row | None:
+        """What the folder has of a pull, on the curve asked for."""
+        path = self._row_path(pull)
+        if not path.exists():
+            return None
+        row = read_rows(path)[0]
+        if np.isnan(row.peak_force) and row.processor_seconds < 0.99 * limit:
+            return None
+        return replace(row, curve=pull.curve, choice=pull.choice)
+
+
+@contextmanager
+def kept_folder(keep: Path | None) -> Iterator[Path]:
+    """A workshop's folder: this one, made where it is missing, or one that goes with the study."""
+    if keep is not None:
+        keep.mkdir(parents=True, exist_ok=True)
+        yield keep
+        return
+    with tempfile.TemporaryDirectory(prefix="perilife-study-") as place:
+        yield Path(place)
 
 
 def _field_path(folder: Path, name: str, alloy: str, immersion: str) -> Path:
@@ -260,15 +317,18 @@ def pull_once(folder: Path, pull: Pull, limit: float = LIMIT_SECONDS) -> Row:
     from fem.constitutive.material import Material
     from fem.solid import Grips
     from fem.strength import TensileSettings, tensile_test
+    from pipeline.stages.strength import first_increment
 
     scene = resolve_scene([pull.alloy], ["0w"], "quick")
     values, test = scene.alloy(pull.alloy).material, scene.tensile
+    if pull.grip is not None:
+        test = replace(test, bottom_grip=pull.grip, top_grip=pull.grip)
+    test = replace(test, increment=pull.increment, peak_drop=pull.peak_drop or test.peak_drop)
     with np.load(_mesh_path(folder, pull.mesh_size, pull.mesh_size_fine, pull.ends)) as mesh:
         points, cells = mesh["points"], mesh["cells"]
     with np.load(_field_path(folder, pull.field, pull.alloy, pull.immersion)) as field:
         damage = mapped_damage(points, cells, pull, field, 1.0 / values.q1)
-    held = (test.bottom_grip, test.top_grip) if pull.grip is None else (pull.grip, pull.grip)
-    grips = Grips(*held, test.lateral)
+    grips = Grips(test.bottom_grip, test.top_grip, test.lateral)
     begun = time.process_time()
     signal.signal(signal.SIGPROF, _overdue)
     signal.setitimer(signal.ITIMER_PROF, limit)
@@ -283,7 +343,7 @@ def pull_once(folder: Path, pull: Pull, limit: float = LIMIT_SECONDS) -> Row:
                 values.q1,
             ),
             TensileSettings(
-                pull.element, test.final_strain, min(0.002, pull.increment), pull.increment,
+                pull.element, test.final_strain, first_increment(test), pull.increment,
                 peak_drop=test.peak_drop, tolerance=pull.tolerance, damage=pull.damage,
                 damage_length=pull.damage_length, threads=1,
                 grips=grips,
@@ -318,14 +378,16 @@ def pull_once(folder: Path, pull: Pull, limit: float = LIMIT_SECONDS) -> Row:
 def mapped_damage(points, cells, pull: Pull, field, maximum: float) -> np.ndarray:
     """f0 of a pull: (nc, nq) at the quadrature points, or (nc, 1) averaged over each cell."""
     from fem.quadrature import quadrature_points, sampling_points
-    from pipeline.stages.damage_map import map_damage
+    from pipeline.stages.damage_map import conserving_map
 
-    lattice = (field["origin"], field["spacing"], field["concentration"], field["metal"])
     if pull.samples is None:
-        at, _ = quadrature_points(points, cells, pull.element)
-        return map_damage(at, *lattice, float(field["solid"]), maximum)
-    at, _ = sampling_points(points, cells, pull.samples)  # points of equal volumes
-    return map_damage(at, *lattice, float(field["solid"]), maximum).mean(axis=1, keepdims=True)
+        at, weights = quadrature_points(points, cells, pull.element)
+    else:
+        at, weights = sampling_points(points, cells, pull.samples)  # points of equal volumes
+    names = ("origin", "spacing", "concentration", "metal", "solid", "capacity")
+    whole, _, _ = conserving_map(at, weights, *(field[name] for name in names))
+    damage = np.minimum(whole, maximum)
+    return damage if pull.samples is None else damage.mean(axis=1, keepdims=True)
 
 
 def weeks(label: str) -> float:

@@ -18,7 +18,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pipeline.record.run_results import read_run
 from pipeline.record.summary import read_summary
+from pipeline.report.picture_set import damage_field
 from pipeline.scene.command.options import add_scene_options, scene_from_options
 from pipeline.stages.corrosion import CHECKPOINT_FILE, corrode_in_folder
 from pipeline.stages.geometry import write_geometry
@@ -183,6 +185,19 @@ def test_mass_is_conserved_and_lattice_and_mesh_lose_alike(run):
         pulled = next(r.strength_ratio for r in table if r.alloy == alloy and r.volume_loss > 0)
         # the weakest section alone, on these coarse cells: measured 0.06 and 0.04 above the test
         assert mapped["numbers"]["net_section_left"] == pytest.approx(pulled, abs=0.1)
+
+
+def test_pictures_show_the_damage_that_is_pulled(run):
+    from fem.quadrature import sampling_points
+
+    results = read_run(run[0])
+    at, _ = sampling_points(results.points, results.cells)
+    for alloy in results.alloys:
+        item = alloy.immersions[-1]
+        assert item.map_exponent != 1.0  # measured 0.95 to 1.1 on such coarse cells
+        shown = damage_field(results, alloy.name, item, at.reshape(-1, 3), len(results.cells))
+        pulled = np.minimum(shown, 2 / 3).reshape(at.shape[:2]).mean(axis=1)
+        assert pulled == pytest.approx(item.damage[:, 0], abs=1e-12)
 
 
 def test_volume_loss_rises_step_by_step(run):

@@ -55,9 +55,11 @@ def test_the_pulls_of_a_study_have_one_thread_each_and_the_caller_keeps_its_own(
             return False
 
     monkeypatch.setattr(study_pulls, "ProcessPoolExecutor", Pool)
+    monkeypatch.setattr(study_pulls.Workshop, "mesh", lambda self, *sizes: None)
+    pull = study_pulls.Pull("", "", "Mg-5Gd", "0w", "P1", 0.3e-3, 0.2e-3, 0.01)
     before = dict(os.environ)
     with pytest.raises(KeyboardInterrupt):
-        study_pulls.Workshop(tmp_path).pull([], 1, print)
+        study_pulls.Workshop(tmp_path).pull([pull], 1, print)
     assert seen == [("1", "1", "none")]
     assert dict(os.environ) == before
 

@@ -13,11 +13,13 @@ from pipeline.geometry.voxels import metal_fraction
 from pipeline.stages.damage_map import (
     METHODS,
     compare_lost_volume,
-    conserved_damage,
+    conserving_exponent,
+    conserving_map,
     lost_volume_on_lattice,
     lost_volume_on_mesh,
     map_damage,
     net_section,
+    scaled_damage,
 )
 from tests.pipeline.geometry.solids import BODIES, body, coarse_mesh, fine_mesh, reference_screw
 
@@ -257,8 +259,11 @@ def test_bodies_lose_on_the_mesh_what_they_lose_on_the_lattice(name):
     for length in (0.05e-3, 0.1e-3, 0.2e-3):
         concentration = np.where(metal, SOLID * (1 - np.exp(-depth / length)), 0.0)
         lattice = lost_volume_on_lattice(concentration, metal, SOLID, capacity * spacing**3)
-        damage = map_damage(points, origin, spacing, concentration, metal, SOLID, 1.0)
-        now = conserved_damage(damage, weights, lattice)
+        field = (origin, spacing, concentration, metal, SOLID)
+        damage = map_damage(points, *field, 1.0)
+        now, exponent, lost = conserving_map(points, weights, *field, capacity)
+        assert np.array_equal(now, scaled_damage(damage, exponent))
+        assert lost["lattice_lost_volume"] == pytest.approx(lattice, rel=1e-14)
         assert lattice > 0.15 * solid.volume
         # measured at most 0.8 (ball), 0.2 (torus) and 0.1 % (plate)
         assert abs(lost_volume_on_mesh(damage, weights) / lattice - 1) < 0.012
@@ -271,17 +276,22 @@ def test_conserved_damage_keeps_what_is_intact_and_what_is_gone():
     damage = np.array([[0.0, 0.2, 0.5, 1.0]])
     weights = np.array([[1.0, 2.0, 3.0, 0.5]])
     for lost in (1.0, 2.4, 4.0):
-        found = conserved_damage(damage, weights, lost)
+        exponent = conserving_exponent(damage, weights, lost)
+        found = scaled_damage(damage, exponent)
         assert (found * weights).sum() == pytest.approx(lost, rel=1e-13)
         assert found[0, 0] == 0.0 and found[0, 3] == 1.0
         assert (np.diff(found[0]) > 0).all()
-    exponent = np.log(1 - found[0, 1:3]) / np.log(1 - damage[0, 1:3])
-    assert exponent[0] == pytest.approx(exponent[1], rel=1e-12)
-    same = conserved_damage(damage, weights, (damage * weights).sum())
-    assert np.abs(same - damage).max() < 1e-12
-    assert np.array_equal(conserved_damage(damage, weights, 0.0), np.zeros((1, 4)))
-    assert np.array_equal(conserved_damage(damage, weights, 6.0), [[0.0, 1.0, 1.0, 1.0]])
-    assert np.array_equal(conserved_damage(0 * damage, weights, 1.0), 0 * damage)
+        by_point = np.log(1 - found[0, 1:3]) / np.log(1 - damage[0, 1:3])
+        assert by_point == pytest.approx([exponent, exponent], rel=1e-12)
+    assert conserving_exponent(damage, weights, (damage * weights).sum()) == pytest.approx(1.0)
+    # nothing lost, more than the damaged part holds, nothing damaged, less than is gone as a whole
+    for field, lost, exponent in (
+        (damage, 0.0, 0.0), (damage, 6.0, np.inf), (0 * damage, 1.0, 1.0), (damage, 0.4, 1.0),
+    ):  # fmt: skip
+        assert conserving_exponent(field, weights, lost) == exponent
+    assert np.array_equal(scaled_damage(damage, 0.0), np.zeros((1, 4)))
+    assert np.array_equal(scaled_damage(damage, np.inf), [[0.0, 1.0, 1.0, 1.0]])
+    assert scaled_damage(damage, 1.0) == pytest.approx(damage, abs=1e-15)
 
 
 def test_net_section_counts_what_each_layer_still_carries():

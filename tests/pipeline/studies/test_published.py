@@ -88,7 +88,7 @@ def test_the_weakest_layer_is_known_without_a_mesh(tmp_path):
 def test_the_outermost_layer_of_the_screw_after_24_weeks(tmp_path, alloy, left, inside):
     """By share of metal, and by the nodes well inside alone (quick lattice, Table 5.1)."""
     shop = Workshop(tmp_path)
-    shop.corrode(alloy, ["0w", *study.WEEKS])  # the steps end at these times
+    shop.corrode(alloy, ["0w", *study.WEEKS], **study.AS_PRINTED)  # the steps end at these times
     path = shop.field("", alloy, "24w")
     bottom, top = study.weakest_layers(path)
     assert top == pytest.approx(left, abs=0.002)

@@ -5,11 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fem.quadrature import quadrature_points
 from pipeline.scene.resolution import NAMES, read_presets
 from pipeline.studies import life_cycle
 from pipeline.studies import tensile as study
 from pipeline.studies import tensile_results as results
-from pipeline.studies.workshop import Pull, Row, Workshop, read_rows, write_rows
+from pipeline.studies.workshop import (
+    Pull,
+    Row,
+    Workshop,
+    mapped_damage,
+    read_rows,
+    write_rows,
+)
 from tests.fem.meshes import box
 
 EXACT = {"0w": 450.0, "8w": 270.0}
@@ -130,23 +138,46 @@ def test_every_pull_of_the_study_is_planned_with_its_intact_screw():
     assert len(study.plan_pulls(["A"], ["8w"], True)) > len(study.plan_pulls(["A"], ["8w"]))
 
 
-def test_a_pull_is_done_in_a_process_of_its_own_and_given_up_in_time(tmp_path):
+def test_a_pull_is_done_once_in_a_process_of_its_own_and_given_up_in_time(tmp_path, monkeypatch):
     points, cells = box((2, 2, 4), (1e-3, 1e-3, 2e-3))
     np.savez(tmp_path / "mesh-300-200.npz", points=points, cells=cells)
     metal = np.ones((4, 4, 4), bool)
     np.savez(
         tmp_path / "field--Mg-5Gd-8w.npz", origin=[-5e-4] * 3, spacing=[1e-3] * 3,
         concentration=np.full(metal.shape, 0.9 * 66082.4), metal=metal, solid=66082.4,
+        capacity=np.full(metal.shape, 2.0 / metal.size),  # of a cell: the box's 2 mm^3
     )  # fmt: skip
     pull = Pull("a", "b", "Mg-5Gd", "8w", "P1", 0.3e-3, 0.2e-3, 0.01)
     heard = []
     rows = Workshop(tmp_path).pull([pull, replace(pull, increment=0.02)], 1, heard.append)
     assert [r.increment for r in rows] == [0.01, 0.02] and len(heard) == 2
     assert all(r.peak_force > 1 and not r.status.startswith("stopped") for r in rows)
-    late = Workshop(tmp_path).pull([replace(pull, increment=1e-5)], 1, heard.append, limit=0.05)
+    long = replace(pull, increment=1e-5)
+    late = Workshop(tmp_path).pull([long], 1, heard.append, limit=0.05)
     assert late[0].status == "stopped: not done within 0 s"
+    # the folder has what was done: another workshop in it does none again, on whatever curve
+    other = [replace(p, curve="c") for p in (pull, replace(pull, increment=0.02), long)]
+    monkeypatch.setattr(Workshop, "mesh", None)  # not asked for
+    kept = Workshop(tmp_path).pull(other, 1, heard.append, limit=0.05)
+    assert repr(kept) == repr([replace(row, curve="c") for row in (*rows, *late)])
     write_rows([*rows, late[0]], tmp_path / "rows.csv")
     assert repr(read_rows(tmp_path / "rows.csv")) == repr([*rows, late[0]])
+
+
+@pytest.mark.parametrize("samples", [None, 1, 2])
+def test_the_mesh_of_a_pull_loses_what_its_lattice_lost(samples):
+    points, cells = box((2, 2, 4), (1e-3, 1e-3, 2e-3))
+    metal = np.ones((5, 5, 7), bool)
+    lost = np.random.default_rng(3).random(metal.shape)
+    field = {
+        "origin": (-5e-4,) * 3, "spacing": 5e-4, "concentration": 2.0 * (1.0 - lost),
+        "metal": metal, "solid": 2.0, "capacity": np.full(metal.shape, 16.0 / metal.size),
+    }  # fmt: skip
+    pull = Pull("", "", "Mg-5Gd", "8w", "P2", 1e-3, 1e-3, 0.01, samples=samples)
+    damage = mapped_damage(points, cells, pull, field, 1.0)
+    _, weights = quadrature_points(points, cells, "P2")
+    volumes = weights if samples is None else weights.sum(axis=1, keepdims=True)
+    assert (damage * volumes).sum() == pytest.approx(lost.mean() * 2e-9, rel=1e-12)
 
 
 def levels():
