@@ -77,7 +77,8 @@ def run_study(options: argparse.Namespace) -> None:
     if options.what == "life-cycle":
         from pipeline.studies.life_cycle import print_study
 
-        print_study((options.alloy or ["Mg-5Gd"])[0], (options.immersion or ["8w"])[0])
+        out = Path(options.out) if options.out else None
+        print_study((options.alloy or ["Mg-5Gd"])[0], (options.immersion or ["8w"])[0], out)
         return
     if options.what == "tensile":
         _study_tensile(options)

@@ -10,14 +10,15 @@ added; the errors of the factors add up, which bounds the sum where they do not 
 from __future__ import annotations
 
 import itertools
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pipeline.scene.resolution import resolution
-from pipeline.studies.workshop import Pull, Row, Workshop
+from pipeline.studies.workshop import Pull, Row, Workshop, kept_folder, write_page
 
+FILE = "life_cycle.md"
+TITLE = "Where the error of the strength left comes from"
 WANTED_ERRORS = (0.10, 0.03, 0.01)
 LATTICES = (100e-6, 200e-6 / 3, 50e-6)
 RATE_CHANGES = (0.4, 0.1)
@@ -27,6 +28,13 @@ MESHES = (
     ("P1-Fbar", 0.3e-3, 0.2e-3), ("P1-Fbar", 0.2e-3, 0.12e-3),
     ("P2", 0.5e-3, 0.4e-3), ("P2", 0.4e-3, 0.3e-3), ("P2", 0.3e-3, 0.2e-3), ("P2", 0.2e-3, 0.12e-3),
 )  # fmt: skip
+ORDERS = {
+    "lattice": (2.0, LATTICES[-2] / LATTICES[-1]),  # with rate classes (study corrosion)
+    "time step": (2.0, RATE_CHANGES[-2] / RATE_CHANGES[-1]),
+    "increment": (1.0, INCREMENT_SHARES[-2] / INCREMENT_SHARES[-1]),
+}
+"""Order of a factor and how much finer its last level is than the one before."""
+
 FACTORS = ("lattice", "time step", "mapping", "mesh and element", "increment")
 
 
@@ -56,18 +64,22 @@ class Combination:
 
 
 def factor_levels(
-    factor: str, entries: Sequence[tuple[str, float, float, str]], order: float | None
+    factor: str,
+    entries: Sequence[tuple[str, float, float, str]],
+    order: float | None,
+    refined: float = 2.0,
 ) -> list[Level]:
     """Levels of a factor from (choice, ratio, seconds, status), coarse to fine.
 
-    order: of the factor where each level halves about the step of the one before; what is left of
-    the finest level is then its last change / (2^order - 1).  None: the last change itself.
+    order: of the factor; refined: the step of the last level but one over that of the finest.  What
+    is left of the finest level is then its last change / (refined^order - 1).  None: the last
+    change itself.
     """
     finest = entries[-1][1]
     rest = 0.0
     if len(entries) > 1:
         change = abs(entries[-1][1] - entries[-2][1])
-        rest = change if order is None else change / (2.0**order - 1.0)
+        rest = change if order is None else change / (refined**order - 1.0)
     return [
         Level(factor, choice, ratio, (abs(ratio - finest) + rest) / finest, seconds, status)
         for choice, ratio, seconds, status in entries
@@ -101,14 +113,19 @@ def cheapest(found: Sequence[Combination], wanted: float) -> tuple[Combination, 
 
 
 def study_life_cycle(
-    alloy: str, immersion: str, tell: Callable[[str], None] = lambda line: None, workers: int = 2
-) -> list[Level]:
-    """Run the study for one alloy and time; `tell` hears one line per pull."""
+    alloy: str, immersion: str, tell: Callable[[str], None] = lambda line: None, workers: int = 2,
+    keep: Path | None = None,
+) -> list[Level]:  # fmt: skip
+    """Run the study for one alloy and time; `tell` hears one line per pull.
+
+    keep: a folder in which fields, meshes and what each pull found stay, so that an interrupted
+    study goes on.
+    """
     preset = resolution("quick")
     mesh = (preset.element, preset.mesh_size, preset.mesh_size_fine)
     base = Pull("", "", alloy, "0w", *mesh, preset.increment)
-    with tempfile.TemporaryDirectory(prefix="perilife-study-") as place:
-        shop = Workshop(Path(place))
+    with kept_folder(keep) as place:
+        shop = Workshop(place)
         shop.corrode(alloy, [immersion])  # compiles
         seconds = {
             name: shop.corrode(alloy, [immersion], name, spacing, change)
@@ -141,8 +158,7 @@ def study_life_cycle(
         if factor == "mesh and element":
             levels += _mesh_levels(entries[factor])
         else:
-            order = {"increment": 1.0, "time step": 2.0, "lattice": 1.0}.get(factor)
-            levels += factor_levels(factor, entries[factor], order)
+            levels += factor_levels(factor, entries[factor], *ORDERS.get(factor, (None,)))
     return levels
 
 
@@ -229,7 +245,12 @@ def tables(levels: Sequence[Level], title: str) -> list[str]:
     return lines
 
 
-def print_study(alloy: str, immersion: str) -> None:
-    """Run the study and print its tables."""
-    levels = study_life_cycle(alloy, immersion, lambda line: print(line, flush=True))
-    print("\n" + "\n".join(tables(levels, f"{alloy}, {immersion}")))
+def print_study(alloy: str, immersion: str, out: Path | None = None) -> None:
+    """Run the study, print its tables and, with a folder, write them there."""
+    keep = None if out is None else out / "pulls"
+    levels = study_life_cycle(alloy, immersion, lambda line: print(line, flush=True), keep=keep)
+    lines = tables(levels, f"{alloy}, {immersion}")
+    print("\n" + "\n".join(lines))
+    if out is not None:
+        command = f"perilife study life-cycle --alloy {alloy} --immersion {immersion} --out {out}"
+        print(write_page(TITLE, lines, out / FILE, command))

@@ -8,9 +8,8 @@ every reading shows it, as not reproduced if none does, else as not decidable.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +25,7 @@ from pipeline.studies.workshop import (
     Row,
     Workshop,
     kept_folder,
+    write_page,
 )
 
 SLOW, FAST = "Mg-10Gd", "Mg-5Gd"
@@ -182,10 +182,13 @@ def plan_pulls(long: bool) -> dict[str, list[Pull]]:
     def pulls(name: str, element: str, times: Sequence[str], field: str = "", **sizes) -> list:
         mesh = {"mesh_size": BULK[0], "mesh_size_fine": BULK[1], "ends": LAYER, **sizes}
         return [
-            Pull(name, "", alloy, t, element, increment=INCREMENT, field=field, grip=0.0, **mesh)
+            Pull(
+                name, "", alloy, t, element, increment=INCREMENT, grip=0.0,
+                field="" if t == "0w" else field, **mesh,  # the intact screw is the same for all
+            )
             for alloy in (FAST, SLOW)
             for t in ("0w", *times)
-        ]
+        ]  # fmt: skip
 
     found = {
         "P1": pulls("P1", "P1", WEEKS),
@@ -197,11 +200,7 @@ def plan_pulls(long: bool) -> dict[str, list[Pull]]:
     }
     if long:
         whole = {"mesh_size": PUBLISHED_EDGE, "mesh_size_fine": PUBLISHED_EDGE, "ends": None}
-        # The intact screw's force has one smooth peak; a run waits for 5 % less.
-        found[WHOLE] = [
-            replace(pull, peak_drop=0.005) if pull.immersion == "0w" else pull
-            for pull in pulls(WHOLE, "P1", ("1w", "24w"), **whole)
-        ]
+        found[WHOLE] = pulls(WHOLE, "P1", ("1w", "24w"), **whole)
     return found
 
 
@@ -294,14 +293,4 @@ def print_published(long: bool = False, out: Path | None = None) -> None:
     print("\n" + "\n".join(lines))
     if out is not None:
         command = f"perilife study published{' --long' * long} --out {out}"
-        print(write_published(lines, out / FILE, command))
-
-
-def write_published(lines: Sequence[str], path: Path, command: str) -> Path:
-    """The tables as a Markdown file that names the command that made it, in one step."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    text = "\n".join([f"# {TITLE}", "", f"Written by `{command}`.", "", *lines, ""])
-    temporary = path.with_name(f".{path.name}")
-    temporary.write_text(text, encoding="utf-8")
-    os.replace(temporary, path)
-    return path
+        print(write_page(TITLE, lines, out / FILE, command))

@@ -41,8 +41,7 @@ class Pull:
     that of the quick lattice; samples: how often the edges of a cell are halved for the mean of f0
     over it (fem.quadrature.sampling_points; 1 in a run), None: f0 at the quadrature points; grip:
     length held at either end, 0: the end faces, None: the shank, as in a run (scene.holding);
-    ends: edge length at both end faces, None: as elsewhere; peak_drop: fall of the force below its
-    peak, relative, that ends the test, None: as in a run.
+    ends: edge length at both end faces, None: as elsewhere.
     """
 
     curve: str
@@ -60,7 +59,6 @@ class Pull:
     samples: int | None = 1
     grip: float | None = None
     ends: float | None = None
-    peak_drop: float | None = None
 
     def setting(self) -> tuple:
         """Everything but what is pulled."""
@@ -323,7 +321,7 @@ def pull_once(folder: Path, pull: Pull, limit: float = LIMIT_SECONDS) -> Row:
     values, test = scene.alloy(pull.alloy).material, scene.tensile
     if pull.grip is not None:
         test = replace(test, bottom_grip=pull.grip, top_grip=pull.grip)
-    test = replace(test, increment=pull.increment, peak_drop=pull.peak_drop or test.peak_drop)
+    test = replace(test, increment=pull.increment)
     with np.load(_mesh_path(folder, pull.mesh_size, pull.mesh_size_fine, pull.ends)) as mesh:
         points, cells = mesh["points"], mesh["cells"]
     with np.load(_field_path(folder, pull.field, pull.alloy, pull.immersion)) as field:
@@ -421,3 +419,13 @@ def read_rows(path: Path) -> list[Row]:
                     values[field.name] = kinds[kind](text)
             rows.append(Row(**values))
     return rows
+
+
+def write_page(title: str, lines: Sequence[str], path: Path, command: str) -> Path:
+    """Tables of a study as a Markdown file that names the command that made it, in one step."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    text = "\n".join([f"# {title}", "", f"Written by `{command}`.", "", *lines, ""])
+    temporary = path.with_name(f".{path.name}")
+    temporary.write_text(text, encoding="utf-8")
+    os.replace(temporary, path)
+    return path

@@ -8,7 +8,7 @@ import pytest
 from pipeline.scene.screw import ScrewParameters
 from pipeline.stages.damage_map import net_section
 from pipeline.studies import published as study
-from pipeline.studies.workshop import Row, Workshop
+from pipeline.studies.workshop import Row, Workshop, write_page
 
 # the course of the strength left with cells of 50 um at both end faces, as `study published` prints
 FIVE = {"1w": 0.69, "2w": 0.57, "4w": 0.43, "8w": 0.27, "24w": 0.07}
@@ -110,7 +110,8 @@ def test_the_outermost_layer_of_the_screw_after_24_weeks(tmp_path, alloy, left, 
 
 
 def test_the_tables_are_written_with_the_command_that_made_them(tmp_path):
-    path = study.write_published(["| a | b |"], tmp_path / "new" / study.FILE, "perilife study x")
+    path = tmp_path / "new" / study.FILE
+    assert write_page(study.TITLE, ["| a | b |"], path, "perilife study x") == path
     lines = path.read_text().splitlines()
     assert lines[0] == f"# {study.TITLE}" and "Written by `perilife study x`." in lines
     assert lines[-1] == "| a | b |" and [p.name for p in path.parent.iterdir()] == [study.FILE]
