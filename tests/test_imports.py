@@ -101,6 +101,7 @@ BELOW = {
         "fluxes": set(),
         "permittivity": set(),
         "potential": set(),
+        "options": {"fluxes"},
         "chemistry": {"liquid"},
         "migration": {"chemistry", "fluxes", "liquid"},
         "nernst_planck": {
@@ -108,10 +109,12 @@ BELOW = {
             "fluxes",
             "liquid",
             "migration",
+            "options",
             "permittivity",
             "mixing",
         },
         "stored": {"chemistry", "liquid", "mixing", "nernst_planck"},
+        "reservoirs": {"chemistry", "fluxes", "liquid", "nernst_planck", "options"},
     },
     "pipeline": {
         "scene": set(),

@@ -28,7 +28,7 @@ LARGEST_SQRA_STEP = 0.3
 """|u| of a bond up to which `sqra` is within 0.4 % of `sg`."""
 
 
-def steps_of(z: float, psi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def steps_of(z: float, psi: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
     """exp(z psi / 2) - 1 and exp(-z psi / 2) - 1, exact for a small field."""
     return np.expm1(0.5 * z * psi), np.expm1(-0.5 * z * psi)
 

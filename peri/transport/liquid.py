@@ -10,6 +10,9 @@ from peri.engine.influence import Stencil
 from peri.engine.operators import NonlocalSum
 from peri.engine.solvers import DiffusionSystem
 
+Held = float | np.ndarray
+"""A value of all that is held; an array has one for each side (reservoirs.py)."""
+
 
 @dataclass
 class LiquidState:
@@ -18,7 +21,7 @@ class LiquidState:
     ln_component : (E, n) ln of the free components, mol/m3
     release : (n,) g;  extents : (M, n) G_m;  migrated : (E, n) X_e;  all mol/m/s
     rates : (M, n) growth of the minerals, mol/m3/s
-    psi : (n,) F phi / (R T)
+    psi : (n,) F phi / (R T);  held_psi : of what is held, a number or one a side
     """
 
     ln_component: np.ndarray
@@ -32,6 +35,7 @@ class LiquidState:
     sweeps: int = 0
     iterations: int = 0
     active: list[np.ndarray] = field(default_factory=list)
+    held_psi: Held = 0.0
 
     def copy(self) -> LiquidState:
         """Return a state of its own, to be composed anew: its concentrations are not filled in.
@@ -48,6 +52,7 @@ class LiquidState:
             self.psi.copy(),
             np.empty_like(self.net_charge),
             active=[a.copy() for a in self.active],
+            held_psi=self.held_psi,
         )
 
 
@@ -109,19 +114,19 @@ class LiquidSpace:
         """Return the unknown nodes' values of a padded field, (n,)."""
         return field.ravel()[self.index]
 
-    def spread(self, values: np.ndarray, held: float = 0.0) -> np.ndarray:
+    def spread(self, values: np.ndarray, held: Held = 0.0) -> np.ndarray:
         """Return a padded field from values (n,), `held` at refreshed nodes, 0 elsewhere."""
         field = held * self._held if held else np.zeros(self.sum.padded_shape)
         field.ravel()[self.index] = values
         return field
 
-    def crop(self, values: np.ndarray, held: float = 0.0, elsewhere: float = np.nan) -> np.ndarray:
+    def crop(self, values: np.ndarray, held: Held = 0.0, elsewhere: float = np.nan) -> np.ndarray:
         """Return an array of the lattice's shape from values (n,)."""
         field = np.where(self._held > 0, held, elsewhere)
         field.ravel()[self.index] = values
         return self.sum.crop(field)
 
-    def neighbours(self, values: np.ndarray, held: float = 0.0) -> np.ndarray:
+    def neighbours(self, values: np.ndarray, held: Held = 0.0) -> np.ndarray:
         """Return sum_j w_ij c_j u_j of values (n,) that are `held` at refreshed nodes."""
         field = np.zeros(self.sum.padded_shape)
         field.ravel()[self.index] = self.volume * values

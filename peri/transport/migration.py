@@ -6,7 +6,7 @@ import numpy as np
 
 from peri.transport.chemistry.species import Chemistry
 from peri.transport.fluxes import migration, sqra, steps_of
-from peri.transport.liquid import LiquidSpace
+from peri.transport.liquid import Held, LiquidSpace
 
 
 class Migration:
@@ -32,30 +32,41 @@ class Migration:
             self._carriers.setdefault(z, []).append((e, k, weights[k]))
 
     def mobility(self, edge: np.ndarray) -> np.ndarray:
-        """sum_k nu_ke z_k D_k C_k of a composition (K,): per change of psi, (E,), mol/m/s."""
+        """sum_k nu_ke z_k D_k C_k of a composition (K,): per change of psi, (E,), mol/m/s.
+
+        Of several (K, R) the mean.
+        """
         out = np.zeros(self.components)
         for e, z, weight in self.groups:
-            out[e] += z * float(weight @ edge)
+            out[e] += z * float(np.mean(weight @ edge))
         return out
 
-    def inflow(self, concentration: np.ndarray, edge: np.ndarray, psi: np.ndarray) -> np.ndarray:
+    def inflow(
+        self,
+        concentration: np.ndarray,
+        edge: np.ndarray,
+        psi: np.ndarray,
+        held_psi: Held = 0.0,
+    ) -> np.ndarray:
         """N_e, (E, n), mol/m3/s.
 
-        concentration : (K, n);  edge : (K,), of the refreshed layer, where psi is 0;  psi : (n,)
+        concentration : (K, n);  psi : (n,)
+        edge : (K,) or (K, R), of what is held;  held_psi : there, a number or (R,)
         """
         space, degree = self.space, self.space.gather(self.space.degree_field)
         out = np.zeros((self.components, space.n))
         for z, carried in self._carriers.items():
             if self.form == "sqra":
-                steps = steps_of(z, psi)
-                shrunk = space.neighbours(steps[1])
+                steps, at_held = steps_of(z, psi), steps_of(z, held_psi)
+                shrunk = space.neighbours(steps[1], at_held[1])
             for e, carriers, weights in carried:
-                c, at_edge = weights @ concentration[carriers], float(weights @ edge[carriers])
+                c, at_edge = weights @ concentration[carriers], weights @ edge[carriers]
                 if self.form == "sqra":
-                    grown, around = space.neighbours(steps[0] * c), space.neighbours(c, at_edge)
+                    grown = space.neighbours(steps[0] * c, at_held[0] * at_edge)
+                    around = space.neighbours(c, at_edge)
                     out[e] += sqra(c, steps, grown, around, shrunk, degree)
                 else:
-                    fields = space.spread(c, at_edge), space.spread(psi)
+                    fields = space.spread(c, at_edge), space.spread(psi, held_psi)
                     out[e] += space.gather(
                         migration(
                             self.form, space.sum, space.all_volume, *fields, z, space.degree_field

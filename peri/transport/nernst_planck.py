@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -30,14 +29,14 @@ from peri.transport.chemistry.composition import Composer, CompositionError
 from peri.transport.chemistry.minerals import MineralField, SunkSystem, settle
 from peri.transport.chemistry.speciation import Solution
 from peri.transport.chemistry.species import LN10, MOLAR
-from peri.transport.fluxes import FLUX_FORMS, LARGEST_SQRA_STEP, largest_bond_step
+from peri.transport.fluxes import LARGEST_SQRA_STEP, largest_bond_step
 from peri.transport.liquid import LiquidSpace, LiquidState
 from peri.transport.migration import Migration
+from peri.transport.options import TransportOptions
 from peri.transport.permittivity import permittivity_of_water
 
 log = logging.getLogger(__name__)
 
-CLOSURES = ("electroneutral", "poisson", "as_published", "none")
 PUBLISHED_CONDUCTIVITY = 6.1e6
 """S/m, Tables 3.7 and 5.4 of the dissertation; that of a metal, kept for `as_published`."""
 
@@ -46,40 +45,12 @@ _LOOSE_BEGINNING = 1e-6
 """Of the release: to which minerals are brought in balance before the first sweep."""
 _MINERALS_BEHIND = 1e-2
 """Of the ions' residual in a sweep: to which they are in it; a sweep leaves about as much of it."""
+_THINNEST = 1e-3
+"""Of the tolerance: to which ions are solved for where fluxes are found and only charge is left."""
 _MAXIMUM_HALVINGS = 8
 _TOO_LITTLE = "the liquid holds too little salt for this release"
 _RESOLVED = 1e-11
 """Share of its largest change below which a component that the medium lacks counts as absent."""
-
-
-@dataclass(frozen=True)
-class TransportOptions:
-    """How the liquid is solved.
-
-    flux_form : see fluxes.py
-    closure : "electroneutral" (default), "poisson" (with water's permittivity), "as_published"
-        (2.61, 2.64: the printed conductivity in the place of a permittivity), or "none": no
-        potential; the charge that diffusion separates is then taken up by an inert ion.
-    tolerance : residual norm of every component, relative to that of the release
-    neutrality : net charge at which the sweeps for the potential end, relative to the ionic
-        strength
-    """
-
-    flux_form: str = "sqra"
-    closure: str = "electroneutral"
-    tolerance: float = 1e-10
-    neutrality: float = 1e-12
-
-    def __post_init__(self) -> None:
-        for name, value, allowed in (
-            ("flux_form", self.flux_form, FLUX_FORMS),
-            ("closure", self.closure, CLOSURES),
-        ):
-            if value not in allowed:
-                raise ValueError(f"{name}: '{value}'; allowed are {', '.join(allowed)}")
-        for name, number in (("tolerance", self.tolerance), ("neutrality", self.neutrality)):
-            if not 0 < number < 1:
-                raise ValueError(f"{name}: {number}; it must be between 0 and 1")
 
 
 class QuasiSteadyLiquid:
@@ -197,14 +168,15 @@ class QuasiSteadyLiquid:
                     out -= np.multiply.outer(mineral.nu[e], extent[at])
             return out
 
-        lacking = (self.bulk[:, 0] == 0) & self.composer.only_positive
+        lacking = (self.bulk == 0).all(axis=1) & self.composer.only_positive
         unresolved = {
             int(e): _RESOLVED * np.abs(change(int(e), slice(None))).max(initial=0.0)
             for e in np.flatnonzero(lacking)
         }
 
         def target(nodes: np.ndarray | slice) -> np.ndarray:
-            found = self.bulk + change(slice(None), nodes)
+            bulk = self.bulk if self.bulk.shape[1] == 1 else self.bulk[:, nodes]
+            found = bulk + change(slice(None), nodes)
             for e, amount in unresolved.items():
                 found[e, np.abs(found[e]) <= amount] = 0.0
             return found
@@ -226,7 +198,7 @@ class QuasiSteadyLiquid:
 
     def migrate(self, state: LiquidState) -> np.ndarray:
         """N_e, (E, n): what migration adds to the inflow of each component, mol/m3/s."""
-        return self.migration.inflow(state.concentration, self.edge, state.psi)
+        return self.migration.inflow(state.concentration, self.edge, state.psi, state.held_psi)
 
     def inflow(self, state: LiquidState) -> np.ndarray:
         """What diffusion has to carry off besides the release, (E, n): migration and `beside`."""
@@ -269,7 +241,7 @@ class QuasiSteadyLiquid:
         state = (start or self.rest()).copy()
         there = np.zeros((len(self.minerals), space.n)) if amounts is None else amounts
         right = space.volume * source
-        scale = float(np.linalg.norm(right))
+        scale = self._driven(source)
         state.iterations = state.sweeps = 0
         if scale == 0.0:
             scale = float(np.linalg.norm(space.volume)) * 1e-12
@@ -289,6 +261,14 @@ class QuasiSteadyLiquid:
             self._close(state, there, step, absolute, within)
         return state
 
+    def _driven(self, source: np.ndarray) -> float:
+        """What drives the liquid, against which residuals count: norm per cell, mol/m3/s."""
+        volume = self.space.volume
+        rows = np.atleast_2d(np.asarray(self.beside, float)) * volume
+        return max(
+            float(np.linalg.norm(volume * source)), float(np.linalg.norm(rows, axis=1).max())
+        )
+
     def _begin(
         self,
         state: LiquidState,
@@ -303,7 +283,7 @@ class QuasiSteadyLiquid:
         alike; where they do not, minerals and migration start from zero, which always has one.
         """
         old, new = float(np.linalg.norm(before)), float(np.linalg.norm(state.release))
-        ratio = new / old if old > 0 else 0.0
+        ratio = new / old if old > 0 else float(new == 0.0)
         composition = state.ln_component.copy()
         state.extents *= ratio
         state.migrated *= ratio
@@ -375,7 +355,8 @@ class QuasiSteadyLiquid:
                     f"sweeps, {self.options.neutrality:g} wanted (the ions' fluxes change by "
                     f"{residual:.2g}, {absolute:.2g} wanted); {_TOO_LITTLE}"
                 )
-            tight = max(0.1 * absolute, 1e-4 * residual)
+            share = 0.1 if residual > absolute else _THINNEST
+            tight = max(share * absolute, 1e-4 * residual)
             within = max(absolute, _MINERALS_BEHIND * residual)
             before = state.migrated.copy()
             # In a uniform liquid a change of psi moves X_e by as much.
@@ -390,7 +371,7 @@ class QuasiSteadyLiquid:
             except CompositionError as error:
                 raise CompositionError(f"potential: {error}; {_TOO_LITTLE}") from error
         largest = float(np.abs(chemistry.charge).max()) * largest_bond_step(
-            space.spread(state.psi), space.all_volume, space.sum.reach
+            space.spread(state.psi, state.held_psi), space.all_volume, space.sum.reach
         )
         if largest > LARGEST_SQRA_STEP and self.options.flux_form != "sg":
             log.warning(
