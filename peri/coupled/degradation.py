@@ -381,12 +381,13 @@ class Degradation(CorrosionProblem):
         stage = super().stage(old, tau, guess)
         if not self.follows_minerals:
             return stage
+        if not self._reads:
+            self.discrete.forget()  # the metal is done, and its system as large as the liquid's
         assert isinstance(stage.extra, MetalStage)
         if stage.extra.switch is not None and self.scene.saturation != "complementarity":
             stage.fields["switch"] = stage.extra.switch
-        around, nodes = self.surroundings, self.on_nodes
-        rest = nodes.put(old["rest"], nodes.at(old["rest"]) / (1.0 + tau / REST_TIME))
-        stage.fields["rest"] = rest
+        around, nodes, rest = self.surroundings, self.on_nodes, old["rest"]
+        stage.fields["rest"] = nodes.put(rest, nodes.at(rest) / (1.0 + tau / REST_TIME))
         source = self._source(State(guess.time, stage.fields, stage.numbers))
         charge = self._carry(stage.fields)
         if charge is not None:

@@ -125,7 +125,9 @@ class LinearSystem:
         """b - A x on the unknown nodes (a new padded array), x zero elsewhere."""
         out = np.zeros(self.sum.padded_shape)
         self.apply(x, out)
-        return (b - out) * self.mask
+        np.subtract(b, out, out=out)
+        out *= self.mask
+        return out
 
     def precondition(self, r: np.ndarray, z: np.ndarray) -> float:
         """z = B r; returns r . z."""

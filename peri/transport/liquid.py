@@ -74,7 +74,8 @@ class LiquidSpace:
     n : number of unknown nodes
     volume : (n,) their relative volumes c_i
     cell_volume : m3 (m2, m in two and one dimensions)
-    degree : (n,) sum_j w_ij c_j over all liquid nodes, 1/m2
+    bonds : (n,) sum_j w_ij c_j over all liquid nodes, 1/m2
+    degree : (n,) the operator's diagonal: `bonds`, and what a copy of the space adds
     exit : (n,) the same over refreshed nodes only
 
     Raises
@@ -99,14 +100,13 @@ class LiquidSpace:
         self.cell_volume = float(np.prod(stencil.spacing))
         cells = np.ones(liquid.shape) if capacity is None else capacity
         self.all_volume = self.sum.pad(np.where(liquid, cells, 0.0))
-        self._held = self.sum.pad(np.where(liquid & refreshed, 1.0, 0.0))
+        self._held = self.sum.pad(liquid & refreshed) > 0
         free = self.sum.pad(liquid & ~refreshed) > 0
         self.index = np.flatnonzero(free)
         self.n = self.index.size
         self._free_volume = np.where(free, self.all_volume, 0.0)
         self.volume = self._free_volume.ravel()[self.index]
-        self.degree_field = self.sum(self.all_volume)
-        self.degree = self.degree_field.ravel()[self.index]
+        self.degree = self.bonds = self.gather(self.sum(self.all_volume))
         self.exit = self.gather(self.sum(self.all_volume * self._held))
         self._pattern: list[DiffusionSystem] = []  # of copies with another degree, too
 
@@ -122,7 +122,7 @@ class LiquidSpace:
 
     def crop(self, values: np.ndarray, held: Held = 0.0, elsewhere: float = np.nan) -> np.ndarray:
         """Return an array of the lattice's shape from values (n,)."""
-        field = np.where(self._held > 0, held, elsewhere)
+        field = np.where(self._held, held, elsewhere)
         field.ravel()[self.index] = values
         return self.sum.crop(field)
 
@@ -191,7 +191,8 @@ class LiquidSpace:
         right : (n,) per cell, mol/m3/s times relative volume
         start : (n,); values at nodes that the system holds are kept and count as given
         """
-        unknown = self.spread(start) * system.mask
+        unknown = self.spread(start)
+        unknown *= system.mask
         field = self.spread(right)
         held = self.gather(system.mask) == 0
         some = bool(held.any())
@@ -199,6 +200,7 @@ class LiquidSpace:
             given = np.where(held, start, 0.0)
             field = self.spread(right + self.volume * self.neighbours(given))
         residual = system.residual(unknown, field)
+        del field  # large, and no more needed
         iterations = system.solve(unknown, residual, absolute, maximum_iterations)
         found = self.gather(unknown)
         return (np.where(held, start, found) if some else found), iterations

@@ -53,7 +53,7 @@ class Migration:
         concentration : (K, n);  psi : (n,)
         edge : (K,) or (K, R), of what is held;  held_psi : there, a number or (R,)
         """
-        space, degree = self.space, self.space.gather(self.space.degree_field)
+        space = self.space
         out = np.zeros((self.components, space.n))
         for z, carried in self._carriers.items():
             if self.form == "sqra":
@@ -64,12 +64,17 @@ class Migration:
                 if self.form == "sqra":
                     grown = space.neighbours(steps[0] * c, at_held[0] * at_edge)
                     around = space.neighbours(c, at_edge)
-                    out[e] += sqra(c, steps, grown, around, shrunk, degree)
+                    out[e] += sqra(c, steps, grown, around, shrunk, space.bonds)
                 else:
                     fields = space.spread(c, at_edge), space.spread(psi, held_psi)
                     out[e] += space.gather(
                         migration(
-                            self.form, space.sum, space.all_volume, *fields, z, space.degree_field
+                            self.form,
+                            space.sum,
+                            space.all_volume,
+                            *fields,
+                            z,
+                            space.spread(space.bonds),
                         )
                     )
         return out

@@ -366,6 +366,7 @@ class QuasiSteadyLiquid:
                     self.plain, space.volume * inflow[e], before[e] - mobility[e] * moved, tight
                 )
                 state.iterations += used
+            del inflow  # large, and no more needed
             try:
                 self._grow_between(state, before, there, step, within)
             except CompositionError as error:

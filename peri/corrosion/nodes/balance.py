@@ -17,7 +17,6 @@ class Balance:
 
     def __init__(self, phases: Phases) -> None:
         self.phases, scene = phases, phases.scene
-        self._highest = phases.of_solids([solid.concentration for solid in scene.solids])
         self.liquid_below = scene.dissolution.liquid_below(scene)
         volumes = phases.volumes()
         contents = [solid.concentration for solid in scene.solids]
@@ -87,7 +86,8 @@ class Balance:
         elif missing < 0 and -missing <= min(max(1e-3 * lost, 1e-9 * metal), 1e-3 * metal):
             result[p.metal] *= 1.0 + missing / metal
         elif 0 < missing <= 1e-9 * metal:
-            room = np.maximum(self._highest - result, 0.0)[p.metal]
+            highest = p.of_solids([solid.concentration for solid in p.scene.solids])
+            room = np.maximum(highest - result, 0.0)[p.metal]
             space = total(float((p.capacity[p.metal] * room).sum()))
             result[p.metal] += min(1.0, missing / space) * room if space > 0 else 0.0
         elif abs(missing) <= min(1e-3 * passed, max(1e-6 * passed, 1e-9 * self.metal_scale)):
