@@ -50,6 +50,10 @@ class BiMaterial(InterfaceRates):
         """Drop the preconditioner of earlier stages."""
         self._solver.forget()
 
+    def drop_work(self) -> None:
+        """Give back what is needed in a solution only."""
+        self._solver.drop_work()
+
     def volume_loss(self, concentration: np.ndarray) -> float:
         """See Balance.volume_loss."""
         return self.balance.volume_loss(concentration)

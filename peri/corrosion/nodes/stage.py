@@ -67,6 +67,11 @@ class StageSolver:
         """Drop the preconditioner of earlier stages."""
         self._system = None
 
+    def drop_work(self) -> None:
+        """Give back what is needed in a solution only."""
+        if self._system is not None:
+            self._system.drop_work()
+
     def solve(
         self,
         old: np.ndarray,
