@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -109,6 +110,11 @@ class LiquidSpace:
         self.degree = self.bonds = self.gather(self.sum(self.all_volume))
         self.exit = self.gather(self.sum(self.all_volume * self._held))
         self._pattern: list[DiffusionSystem] = []  # of copies with another degree, too
+
+    @cached_property
+    def degree_field(self) -> np.ndarray:
+        """sum_j w_ij c_j at every node, padded; made when it is asked for."""
+        return self.sum(self.all_volume)
 
     def gather(self, field: np.ndarray) -> np.ndarray:
         """Return the unknown nodes' values of a padded field, (n,)."""

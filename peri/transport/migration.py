@@ -69,12 +69,7 @@ class Migration:
                     fields = space.spread(c, at_edge), space.spread(psi, held_psi)
                     out[e] += space.gather(
                         migration(
-                            self.form,
-                            space.sum,
-                            space.all_volume,
-                            *fields,
-                            z,
-                            space.spread(space.bonds),
+                            self.form, space.sum, space.all_volume, *fields, z, space.degree_field
                         )
                     )
         return out
