@@ -15,6 +15,7 @@ from peri.engine.scratch import Scratch
 _COARSEST_CELLS = 150
 _LONGEST_LINE = 20_000
 _SMOOTHING_STEPS = 2
+_FIRST_SCALE = 4.0 / 3.0 / 2.0
 _INNER = (slice(1, -1),) * 3
 
 
@@ -200,8 +201,8 @@ class _Level:
         """Chebyshev steps of the fourth kind for the spectrum (0, 2] of the scaled operator."""
         x, b, d, _ = self.scratch.arrays()
         if from_zero:
-            x[:] = 0.0
-        for n in range(1, _SMOOTHING_STEPS + 1):
+            multigrid_kernels.first_step(x, b, self.inverse, d, _FIRST_SCALE)
+        for n in range(2 if from_zero else 1, _SMOOTHING_STEPS + 1):
             multigrid_kernels.local_step(
                 x,
                 b,
@@ -209,7 +210,7 @@ class _Level:
                 self.inverse,
                 d,
                 (2 * n - 3) / (2 * n + 1) if n > 1 else 0.0,
-                (8 * n - 4) / (2 * n + 1) / 2.0,
+                (8 * n - 4) / (2 * n + 1) / 2.0,  # _FIRST_SCALE for n = 1
             )
             multigrid_kernels.add_to(x, d)
 

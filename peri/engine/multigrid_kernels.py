@@ -39,6 +39,17 @@ def prolong_add(coarse: Array, factors: Triple, margin: Triple, fine: Array) -> 
                 row[k + mc] += line[k // fc + 1]
 
 
+@by_size
+def first_step(x: Array, b: Array, inverse: Array, d: Array, scale: float) -> None:
+    """x = d = scale inverse b: local_step and add_to from x = 0."""
+    for i in prange(1, x.shape[0] - 1):
+        for j in range(1, x.shape[1] - 1):
+            xr, br, dr, vr = x[i, j], b[i, j], d[i, j], inverse[i, j]
+            for k in range(1, x.shape[2] - 1):
+                dr[k] = scale * (br[k] * vr[k])
+                xr[k] = dr[k]
+
+
 @by_size(fastmath=CONTRACT)
 def local_step(
     x: Array,

@@ -249,6 +249,7 @@ def test_compiled_loops_are_the_plain_python_loops():
         ),
         "aggregate": (field(), reach, (2, 2, 1), np.zeros((4, 3, 7))),
         "prolong_add": (level(), (1, 1, 1), (1, 1, 1), level()),
+        "first_step": (*(level() for _ in range(4)), 0.9),
         "local_step": tuple(level() for _ in range(7)) + (0.2, 0.9),
         "local_residual": tuple(level() for _ in range(7)),
         "local_product": (*(level() for _ in range(5)), level()[1:-1, 1:-1, 1:-1].copy()),
