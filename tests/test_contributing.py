@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from peri.corrosion import kinetics
+from peri.corrosion import kinetics, rate_laws
 from peri.corrosion.laws import INTERFACE_LAWS
 from pipeline.scene.laws import rate_law
 from tests.peri.corrosion.test_laws import check_law, check_slows
@@ -37,7 +37,7 @@ def test_the_law_of_twenty_lines_keeps_the_invariants(passivation, bond, tmp_pat
 
 
 def test_a_row_is_all_that_the_command_line_needs(passivation, monkeypatch):
-    monkeypatch.setitem(kinetics.KINETICS, "passivation", passivation)
+    monkeypatch.setitem(rate_laws.KINETICS, "passivation", passivation)
     numbers = rate_law.numbers_of("passivation")
     assert numbers == ("time", "residual?")
     monkeypatch.setitem(rate_law.KINETICS, "passivation", numbers)
@@ -49,7 +49,7 @@ def test_a_row_is_all_that_the_command_line_needs(passivation, monkeypatch):
 def test_names_and_choices_are_read_without_the_compiled_solvers():
     """numba takes a second to import, which no `--help` should wait for."""
     code = (
-        "import sys, peri.corrosion.kinetics, peri.corrosion.laws, peri.corrosion.choices\n"
+        "import sys, peri.corrosion.rate_laws, peri.corrosion.laws, peri.corrosion.choices\n"
         "import peri.engine.omission, peri.omissions.names, pipeline.scene.command.options\n"
         "print([m for m in ('numba', 'scipy', 'h5py') if m in sys.modules])"
     )

@@ -2,7 +2,7 @@
 
 A law gives a rate >= 0 that multiplies the interface diffusivity (or dissolution flux) stated at
 zero volume loss: one number for the whole metal, or one per metal node.  A new law is one class
-with `needs` and `rate`, and an entry in KINETICS; `derivatives` (of the rate, by the name of the
+with `needs` and `rate`, and a row in rate_laws.KINETICS; `derivatives` (of the rate, by the name of the
 law's parameter, and by "volume_loss") lets a fit follow it.
 """
 
@@ -230,11 +230,3 @@ class ButlerVolmer(Kinetics):
 def _rate_in_range(name: str, value: float, decades: float) -> None:
     if not abs(decades) <= 100:
         raise ValueError(f"{name}: {value}; it changes the rate by more than 100 decades")
-
-
-KINETICS: dict[str, type[Kinetics]] = {
-    "constant": ConstantRate,
-    "volume_loss": VolumeLossLaw,
-    "tafel": Tafel,
-    "butler_volmer": ButlerVolmer,
-}

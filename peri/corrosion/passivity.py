@@ -88,8 +88,8 @@ class Rupture(Repassivation):
     A node under a film that stands dissolves from below, by the liquid of the pit that has
     undermined it.  When it has lost the share d_r of its metal, the film breaks and the rate rises
     to 1 whatever the liquid, over a ramp of width w_d: the larger of both ramps counts.  What a
-    node has lost only grows, so a broken film stays broken; as with the concentration there is a
-    ramp and no switch, so that the result does not depend on the step.
+    node has lost only grows, so a broken film stays broken.  A step goes by what was lost at its
+    beginning, so a film breaks late by at most a step, and never because a step is long.
 
     Parameters
     ----------

@@ -267,7 +267,7 @@ def _alloy_scene(name: str, fit: OwnCorrosion | None) -> AlloyScene:
 
 def rate_law(scene: Scene, alloy: str) -> object:
     """The kinetics of an alloy; l of the volume-loss law is the parameter set's unless given."""
-    from peri.corrosion.kinetics import KINETICS
+    from peri.corrosion.rate_laws import KINETICS
 
     name, numbers = read_kinetics(scene.corrosion.kinetics)
     if name == "volume_loss":

@@ -22,7 +22,6 @@ from peri.engine.results import Field, axes_of
 from perilife_data import Alloy, load_alloy
 from pipeline.scene.units import format_length
 from pipeline.scenes import couples
-from pipeline.scenes.bodies import thinnest_gap
 from pipeline.scenes.keys import TEXT, Given, Key, positive
 from pipeline.scenes.outcome import Curve, Outcome, Panel, Prepared
 
@@ -93,11 +92,11 @@ def prepare(given: Given) -> Prepared:
         )
     made = Joint(coupled, couples.build(given, insulated=True)[0], dissolving[0])
     pull = _pull(given, coupled.metals[dissolving[0]].name, solids, beside)
+    gap = couples.check_gaps(given, coupled)
     renewal, lean = couples.renewal_of(given), couples.reductions_of(given)
     sensitivities = _sensitivities(given)
     given.left_over()
     march = functools.partial(_march, made, pull, renewal, lean, sensitivities)
-    gap = thinnest_gap(~coupled.metal(), coupled.lattice.spacing)
     size = (
         f"{coupled.metal().size:,} nodes, twice; narrowest gap {format_length(gap)}, horizon "
         f"{format_length(float(np.max(coupled.horizon)))}"

@@ -11,7 +11,7 @@ import numpy as np
 from peri.corrosion.kinetics import ConstantRate
 from peri.corrosion.metal.bond_damage import BondDamage
 from peri.corrosion.metal.solids import Solid
-from peri.corrosion.passivity import Repassivation
+from peri.corrosion.passivity import Repassivation, Rupture
 from peri.corrosion.run import corrode
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.constants import FARADAY
@@ -65,20 +65,25 @@ def lacy_scene(
     passive: float = 1e-3,
     ratio: float = 2,
     size: tuple[float, float] = (300e-6, 80e-6),
+    rupture: tuple[float, float] | None = (0.15, 0.02),
     **metal: Any,
 ) -> CorrosionScene:
     """Steel that is passive below a critical concentration, with a nucleus that is active.
 
     critical : C_crit over C_sat.  nucleus : radius of a half disc at the surface, m.  passive :
     the passive current over the active one.  Liquid of two horizons lies above, its upper half
-    held clean.  size : width and depth of the section, m.  metal : as lacy_metal takes it.
+    held clean.  size : width and depth of the section, m.  rupture : the share of its metal with
+    which a node loses its film and over what further share it goes; None: never.  By 0.15 the
+    surface outside loses its own only after 83 s.  metal : as lacy_metal takes it.
     """
     horizon = ratio * spacing
     lattice = section(*size, 2 * horizon, spacing)
     x, y = (np.broadcast_to(a, lattice.shape) for a in lattice.coordinates())
     sheet = np.ascontiguousarray(y < 0)
     bare = sheet & (x**2 + y**2 < nucleus**2)
-    return lacy_metal(lattice, sheet, bare, horizon, current, critical, passive, **metal)
+    return lacy_metal(
+        lattice, sheet, bare, horizon, current, critical, passive, rupture=rupture, **metal
+    )
 
 
 def lacy_metal(
@@ -92,13 +97,16 @@ def lacy_metal(
     ramp: float | None = None,
     charge: float = CHARGE_NUMBER,
     steel: Mapping[str, float] = STEEL_304,
+    rupture: tuple[float, float] | None = None,
 ) -> CorrosionScene:
     """Steel that is passive below a critical concentration but for its bare nodes.
 
-    ramp : width of the film's ramp, mol/m^3.  steel : as STEEL_304.
+    ramp : width of the film's ramp, mol/m^3.  steel : as STEEL_304.  rupture : as lacy_scene.
     """
     saturated, solid = steel["saturation_concentration"], steel["solid_concentration"]
     film = Repassivation(critical * saturated, saturated, passive, ramp)
+    if rupture is not None:
+        film = Rupture(critical * saturated, saturated, passive, ramp, *rupture)
     return CorrosionScene(
         lattice,
         horizon,

@@ -52,6 +52,14 @@ PIT_KEYS: dict[str, Key] = {
         "dimensionless", "passive current over the bare one", 1e-3, at_least=0.0
     ),
     "film.ramp_width": positive("dimensionless", "from passive to bare, over C_sat (0.02)", 0.02),
+    "film.rupture": positive(
+        "dimensionless",
+        "share of a node's metal with whose loss its film breaks for good; left out: it never does",
+        0.15,
+    ),
+    "film.rupture_width": positive(
+        "dimensionless", "further share over which it breaks (0.02)", 0.02
+    ),
 }
 """Keys of a pit's file."""
 GRAIN_KEYS: dict[str, Key] = {
@@ -150,8 +158,23 @@ def _film(given: Given, spacing, ratio, current, size, charge, steel) -> Corrosi
         raise ValueError(f"{given.file}: film.passive_share is {passive:g}; it must be below 1")
     return lacy_scene(
         spacing, current, critical, given.number("geometry.nucleus"), passive, ratio, size,
-        ramp=ramp * most, charge=charge, steel=steel,
+        _rupture(given), ramp=ramp * most, charge=charge, steel=steel,
     )  # fmt: skip
+
+
+def _rupture(given: Given) -> tuple[float, float] | None:
+    """When the film breaks over undermined metal, and over what share; None: never."""
+    if "film.rupture" not in given:
+        return None
+    share = given.number("film.rupture")
+    width = given.otherwise("film.rupture_width", 0.02, "1", "0.02 of a node's metal")
+    assert isinstance(width, float)
+    if not share + width <= 1 + 1e-12:
+        raise ValueError(
+            f"{given.file}: film.rupture is {share:g} of a node's metal; with the width of "
+            f"{width:g} it must be at most {1 - width:g}"
+        )
+    return share, width
 
 
 def grains(given: Given) -> Prepared:

@@ -94,13 +94,14 @@ class StageSolver:
             theta = None
         held = _Held(self, right, exchange, theta)
         iterations, rounds, settled = 0, 0, False
-        seen, worn, metal = FixedPoint(d.processes), FixedPoint(d.processes), d.take(guess)
+        seen = FixedPoint(d.processes)
+        # Of the beginning: with that of the end a step in which an active node loses more than a
+        # film stands has two solutions, and rounds may end in the one whose film is broken.
+        gone = d.lost(exchange.old_metal)
         while rounds < _MAXIMUM_ROUNDS:
             rounds += 1
             liquid = d.take(y)
             known, drift = seen.settle(d.seen_liquid(liquid))
-            gone, wear = worn.settle(d.lost(metal))
-            drift = max(drift, wear)
             volume_loss = self._settle_rate(exchange, held.theta, volume_loss, liquid, known, gone)
             view = y[d.window]
             view[held.active[d.box.interior]] = saturated

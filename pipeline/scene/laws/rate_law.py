@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from peri.corrosion.kinetics import KINETICS as LAWS
+from peri.corrosion.rate_laws import KINETICS as LAWS
 from perilife_data import did_you_mean
 
 OF_THE_SET = {("volume_loss", "length")}
@@ -12,7 +12,7 @@ OF_THE_SET = {("volume_loss", "length")}
 
 
 def numbers_of(name: str) -> tuple[str, ...]:
-    """The numbers of a law of peri.corrosion.kinetics, SI, `?` where one may be left out."""
+    """The numbers of a law of peri.corrosion.rate_laws, SI, `?` where one may be left out."""
     return tuple(
         f.name + "?" * (f.default is not dataclasses.MISSING or (name, f.name) in OF_THE_SET)
         for f in dataclasses.fields(LAWS[name])

@@ -3,8 +3,10 @@
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from peri.corrosion.acidity import AcidityLaw
 from peri.corrosion.kinetics import ButlerVolmer, ConstantRate, Exposed, Tafel, VolumeLossLaw
 from peri.corrosion.nodes.bimaterial import BiMaterial
+from peri.corrosion.passivity import Repassivation, Rupture
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.lattice import ball, box_lattice
 
@@ -15,6 +17,9 @@ LAWS = {
     "volume_loss": VolumeLossLaw(0.1),
     "tafel": Tafel(0.03, 0.1),
     "butler_volmer": ButlerVolmer(0.01),
+    "acidity": AcidityLaw(2312.88, reference_current=2e-3),
+    "repassivation": Repassivation(300.0, 2312.88, 0.5, 200.0),
+    "rupture": Rupture(300.0, 2312.88, 0.5, 200.0, rupture=0.2, rupture_width=0.1),
 }
 """One law of the rate of each kind, by its name; a new one gets a row here."""
 

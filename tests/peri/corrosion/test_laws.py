@@ -6,8 +6,9 @@ On ranks they are marched in tests/peri/parallel.
 import numpy as np
 import pytest
 
-from peri.corrosion.kinetics import KINETICS, Exposed
+from peri.corrosion.kinetics import Exposed
 from peri.corrosion.laws import INTERFACE_LAWS, interface_law
+from peri.corrosion.rate_laws import KINETICS
 from peri.corrosion.run import corrode
 from peri.engine.march.marching import TimeStepping
 from peri.omissions.planning import corrode_lean

@@ -101,8 +101,9 @@ def test_a_film_breaks_over_undermined_metal():
     """d' = r(d) / T in closed form: p until d_r, an exponential on the ramp, 1 from there on."""
     found = [broken_front(steps) for steps in (50, 100, 200)]
     errors = np.array([layers - exact for layers, exact in found])
-    # measured 0.017, 0.012, 0.0056 of 2.173 layers (0.0027 with 400 steps a layer): order 1
-    assert (0 < errors).all() and errors[2] < 0.55 * errors[1] < 0.5 * errors[0]
+    # measured -0.017, -0.0095, -0.0049 of 2.173 layers (-0.0025 with 400 steps a layer): order 1,
+    # late by less than a step
+    assert (errors < 0).all() and errors[2] > 0.55 * errors[1] > 0.35 * errors[0]
     np.testing.assert_allclose([layers for layers, _ in found], found[0][1], rtol=0.01)
 
 

@@ -124,6 +124,34 @@ def test_mirror_node_of_a_tafel_law(sign, inner):
     assert -kappa * (mirrored - inner) / distance == pytest.approx(current, rel=1e-9)
 
 
+@pytest.mark.parametrize("count", [1, 2])
+def test_the_law_counts_once_in_a_mirror_node(count):
+    """2021, A3: u(x) = u(x_R) - (d / kappa) i; printed, with its last term twice, the bonds to the
+    metal carry twice what the electrode's law gives."""
+    kappa, h, nodes, resistance = 2.5, 1e-3, 20, 1e-3
+    rests = (0.1, 0.6)
+    step = np.zeros((nodes, nodes))
+    right = np.zeros(nodes)
+    for row in range(nodes):
+        for other in (row - 1, row + 1):
+            if 0 <= other < nodes:
+                step[row, [row, other]] += 1.0, -1.0
+                continue
+            # u_m = u - share (V + (u_m + u) / 2 - rest), a linear law of this resistance
+            share = count * h / (kappa * resistance)
+            rest = rests[row > 0]
+            step[row, row] += share / (1 + 0.5 * share)
+            right[row] += share * rest / (1 + 0.5 * share)
+    u = np.linalg.solve(step, right)
+    mirror = u[0] - (step[0] @ u - right[0] - (u[0] - u[1]))
+    carried = kappa * (u[0] - mirror) / h
+    by_law = (0.5 * (u[0] + mirror) - rests[0]) / resistance
+    assert carried == pytest.approx(count * by_law, rel=1e-9)
+    exact = (rests[1] - rests[0]) / (2 * resistance + nodes * h / kappa)
+    # twice makes half of the resistance at each electrode: 11 % more current here
+    assert carried == pytest.approx(exact if count == 1 else 1.1111 * exact, rel=1e-4)
+
+
 @pytest.mark.parametrize("dimension", [1, 2, 3])
 def test_constants_belong_to_the_kernel_of_the_inverse_square(dimension):
     """Jafarzadeh 2024, 1.2: D/delta, 4 D/(pi delta^2), 9 D/(2 pi delta^3) go with 1/|xi|^2."""

@@ -18,6 +18,7 @@ immersion = ["0s", "1d"]
 spacing = "0.25mm"
 low = ["-2mm", "-2mm", "-1mm"]
 high = ["2mm", "2mm", "3mm"]
+narrow_gaps = "accepted"
 
 [liquid]
 conductivity = "1.7 S/m"
@@ -99,6 +100,12 @@ def test_pin_and_plate_from_step_files(tmp_path, capsys, monkeypatch):
     folder = str(tmp_path / "other")
     step_files(tmp_path, 0.5)
     refused(capsys, ["run", str(file), "--out", folder], "belong to two of pin, plate", "overlap")
+    step_files(tmp_path, 1.0)
+    narrow = SCENE.format(folder=tmp_path).replace('narrow_gaps = "accepted"', "")
+    file.write_text(narrow)
+    words = "half of the narrowest gap", "at most 250 um, or lattice.narrow_gaps 'accepted'"
+    refused(capsys, ["run", str(file), "--out", folder], *words)
+    file.write_text(SCENE.format(folder=tmp_path))
     (tmp_path / "plate.step").unlink()
     refused(capsys, ["run", str(file), "--out", folder], "plate.step does not exist")
     step_files(tmp_path, 1.0)

@@ -209,6 +209,8 @@ def changed(name: str, *lines: tuple[str, str]) -> str:
 OF_OTHER_KINDS = [
     ("pit-lacy", ("critical_concentration", "0.99"), ["critical_concentration is 0.99", "0.98"]),
     ("pit-lacy", ("passive_share", "1.0"), ["passive_share is 1", "below 1"]),
+    ("pit-lacy", ("rupture", "0.99"), ["film.rupture is 0.99", "at most 0.98"]),
+    ("pit-lacy", ("rupture", ""), ["film.rupture_width is given", "no use for it"]),
     ("pit-304", ("charge_number", ""), ["metal.charge_number is missing"]),
     ("pit-304", ("saturation_concentration", "2e5"), ["must be below metal.solid_concentration"]),
     ("pit-304", ("opening", ""), ["geometry.opening is missing"]),
