@@ -2,8 +2,8 @@
 
 A law gives a rate >= 0 that multiplies the interface diffusivity (or dissolution flux) stated at
 zero volume loss: one number for the whole metal, or one per metal node.  A new law is one class
-with `needs` and `rate`, and a row in rate_laws.KINETICS; `derivatives` (of the rate, by the name of the
-law's parameter, and by "volume_loss") lets a fit follow it.
+with `needs` and `rate`, and a row in rate_laws.KINETICS; `derivatives` (of the rate, by the name of
+the law's parameter, and by "volume_loss") lets a fit follow it.
 """
 
 from __future__ import annotations

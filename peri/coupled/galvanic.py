@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from peri.coupled.galvanic_march import GalvanicProblem, Renewal
-from peri.coupled.galvanic_scene import GalvanicScene, Metal
+from peri.coupled.galvanic_scene import ROBIN, GalvanicScene, Metal
 from peri.engine.march.marching import march
 from peri.transport.potential.electrostatics import PotentialField
 
-__all__ = ["GalvanicResult", "GalvanicScene", "Metal", "Renewal", "corrode", "potential"]
+__all__ = ["ROBIN", "GalvanicResult", "GalvanicScene", "Metal", "Renewal", "corrode", "potential"]
 
 
 @dataclass(frozen=True)

@@ -36,6 +36,7 @@ from peri.transport.potential.electrostatics import (
     PotentialField,
     PotentialProblem,
 )
+from peri.transport.potential.mirror import MirrorProblem
 from peri.transport.potential.polarization import Insulated
 
 _JUMP = 0.2
@@ -125,6 +126,11 @@ class GalvanicProblem(Problem):
     def _between(self, metal: np.ndarray, electrodes: list[Electrode]) -> PotentialProblem:
         """The potential problem of electrodes in all that is no metal."""
         scene = self.scene
+        draws = any(not isinstance(electrode.law, Insulated) for electrode in electrodes)
+        if scene.robin == "as_published" and draws:
+            return MirrorProblem(
+                scene.lattice, scene.stencil, ~metal, electrodes, float(scene.conductivity)
+            )
         return PotentialProblem(
             scene.lattice, scene.stencil, ~metal, electrodes, scene.conductivity, held=scene.held
         )

@@ -12,6 +12,12 @@ from peri.engine.influence import Stencil, diffusion_stencil
 from peri.engine.lattice import Lattice
 from peri.transport.potential.polarization import Polarization
 
+ROBIN = ("conservative", "as_published")
+"""How a law is joined to the liquid: by bonds that carry its current, or by mirror nodes."""
+MOST_MIRRORED = {1: 200_000, 2: 200_000, 3: 15_000}
+"""Liquid nodes by dimension that mirror nodes are solved for, which is done directly: about 1 GB of
+factors, ten times that for ten times as many."""
+
 
 @dataclass(frozen=True)
 class Metal:
@@ -102,6 +108,11 @@ class GalvanicScene:
     held : float array of the lattice's shape, optional
         phi of liquid nodes that are held, V; NaN elsewhere.
     calibration : see influence.diffusion_stencil.
+    robin : {"conservative", "as_published"}
+        The bonds of transport.potential.electrostatics, or the mirror nodes of Zhao et al. 2021,
+        Appendix A, corrected (transport.potential.mirror), on a lattice of one spacing with one
+        conductivity and no held nodes: to be compared with, since by the law their currents do
+        not balance.
 
     Raises
     ------
@@ -115,6 +126,7 @@ class GalvanicScene:
     conductivity: float | np.ndarray
     held: np.ndarray | None = field(default=None, repr=False)
     calibration: str = "discrete"
+    robin: str = ROBIN[0]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "metals", tuple(self.metals))
@@ -143,11 +155,28 @@ class GalvanicScene:
             )
         if self.held is not None and self.held.shape != self.lattice.shape:
             raise ValueError(f"held: {self.held.shape}; the lattice has {self.lattice.shape}")
+        self._check_robin()
         object.__setattr__(
             self,
             "_stencil",
             diffusion_stencil(self.lattice, self.horizon, calibration=self.calibration),
         )
+
+    def _check_robin(self) -> None:
+        if self.robin not in ROBIN:
+            raise ValueError(f"robin: '{self.robin}'; it must be one of {', '.join(ROBIN)}")
+        if self.robin == ROBIN[0]:
+            return
+        spacing = self.lattice.spacing
+        count, most = int((~self.metal()).sum()), MOST_MIRRORED[self.lattice.dimension]
+        for there, what in (
+            (np.ndim(self.conductivity) > 0, "one conductivity, not a field"),
+            (self.held is not None, "no held nodes"),
+            (max(spacing) > min(spacing) * (1 + 1e-9), "one spacing along all axes"),
+            (count > most, f"at most {most:,} nodes of liquid, not {count:,}"),
+        ):
+            if there:
+                raise ValueError(f"robin: '{self.robin}'; mirror nodes take {what}")
 
     @property
     def stencil(self) -> Stencil:

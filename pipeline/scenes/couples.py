@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from peri.coupled.galvanic import GalvanicResult, GalvanicScene, Metal, Renewal
+from peri.coupled.galvanic import ROBIN, GalvanicResult, GalvanicScene, Metal, Renewal
 from peri.coupled.wagner import OMITTABLE, corrode_lean, couple_omissions
 from peri.engine.lattice import Lattice
 from peri.engine.omission import DEFAULT_TOLERANCE
@@ -45,6 +45,13 @@ KEYS: dict[str, Key] = {
     ),
     **{f"liquid.{name}": key for name, key in LIQUID_KEYS.items()},
     **{f"metals.*.{name}": key for name, key in METAL_KEYS.items()},
+    "potential.robin": Key(
+        TEXT,
+        "how a law meets the liquid: conservative (left out), or as_published, by mirror nodes, to "
+        "be compared with",
+        "as_published",
+        allowed=ROBIN,
+    ),
     "time.travel": positive(
         "dimensionless",
         "how far the fastest surface recedes before the potential is renewed, in spacings (0.1)",
@@ -83,12 +90,13 @@ def ae44_scene(
     spacing: float = 0.1e-3,
     horizon: float = HORIZON,
     as_published: bool = False,
+    robin: str = ROBIN[0],
 ) -> GalvanicScene:
     """AE44 beside a cathode, both 10 mm wide and 5 mm thick, under 10 mm of brine.
 
     Zhao et al. 2021, 4: a cell of 20 x 10 mm, the joint in the middle of its lower side.
 
-    cathode : name of an electrode.  horizon : m; at least two spacings.
+    cathode : name of an electrode.  horizon : m; at least two spacings.  robin : see GalvanicScene.
     """
     shape = (round(20e-3 / spacing), round(15e-3 / spacing))
     lattice = Lattice((0.5 * spacing,) * 2, (spacing,) * 2, shape)
@@ -102,7 +110,7 @@ def ae44_scene(
         Metal(other.name, solid & (x < 10e-3), polarization_law(other, as_published)),
         Metal(anode.name, solid & (x > 10e-3), law, ANODE_CONCENTRATION, CHARGE_NUMBER),
     )
-    return GalvanicScene(lattice, horizon, metals, CONDUCTIVITY)
+    return GalvanicScene(lattice, horizon, metals, CONDUCTIVITY, robin=robin)
 
 
 def build(
@@ -137,7 +145,14 @@ def build(
             metal if metal.solid_concentration else replace(metal, law=Scaled(metal.law, cathodes))
             for metal in metals
         )
-    return GalvanicScene(lattice, horizon, metals, kappa), solids, beside
+    robin = given.text("potential.robin") if "potential.robin" in given else ROBIN[0]
+    try:
+        scene = GalvanicScene(lattice, horizon, metals, kappa, robin=robin)
+    except ValueError as error:
+        if not str(error).startswith("robin"):
+            raise
+        raise ValueError(f"{given.file}: potential.{error}") from None
+    return scene, solids, beside
 
 
 def prepare(given: Given) -> Prepared:

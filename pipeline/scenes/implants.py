@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 WEEK = 604800.0
 KEYS: dict[str, Key] = {
-    **couples.KEYS,
+    **{name: key for name, key in couples.KEYS.items() if name != "potential.robin"},
     "strength.metal": Key(TEXT, "which metal is pulled; left out: none", "screw"),
     "strength.alloy": Key(TEXT, "its mechanics: a shipped alloy, or a TOML file", "Mg-5Gd"),
     "strength.mesh_size": positive("length", "of its cells (0.3 mm)", "0.3mm"),

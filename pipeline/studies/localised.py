@@ -12,7 +12,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from peri.coupled.galvanic import GalvanicScene, Renewal, corrode
+from peri.corrosion.scene import CorrosionScene
+from peri.coupled.galvanic import ROBIN, GalvanicScene, Renewal, corrode
 from peri.engine.march.marching import TimeStepping, march
 from peri.omissions.thin_gap import ThinGapProblem
 from pipeline.scenes import crevices, pits, pits_2d
@@ -23,6 +24,8 @@ DAY, HOUR = 86400.0, 3600.0
 COMSOL = {1.0: 0.2369, 1e-4: 0.2611}
 """Depth of AE44 at the joint with AA6063 after 3 d by the largest step of its mesh (mm): published
 for steps of 1 and 1e-4 mm (Zhao et al. 2021, Table C1)."""
+FIRST_CURRENT = {"mild-steel": 0.4120, "AA6063": 0.05141}
+"""A/m, of AE44 with each cathode at the start, by finite volumes."""
 SALT_ONSET = 1002.349
 """s, exact moving boundary, 304 steel at 5,100 A/m2."""
 
@@ -44,18 +47,19 @@ def _head(columns: Sequence[str]) -> None:
 # --- couples --------------------------------------------------------------------------------
 
 
-def couple_row(scene: GalvanicScene, travel: float) -> list[str]:
-    """Currents, depths (mm) and processor time of three days."""
+def couple_row(scene: GalvanicScene, travel: float) -> tuple[list[str], dict[str, np.ndarray]]:
+    """Currents, depths (mm) and processor time of three days; and the history of the march."""
     found, seconds = _timed(lambda: corrode(scene, [3 * DAY], Renewal(travel)))
     depth = 1e3 * found.depths()[-1]
     x = 1e3 * scene.lattice.axis(0) - 10.0
     current = found.history["current_AE44"]
     at = np.interp([1, 2, 5, 9], x, depth)
-    return [
+    row = [
         f"{current[0]:.5f}", f"{current[-1]:.4f}", f"{depth[x > 0][0]:.4f}", f"{depth.max():.4f}",
         *(f"{d:.4f}" for d in at), f"{depth[x > 0].mean():.4f}",
         str(found.history["time"].size - 1), f"{seconds:.1f}",
     ]  # fmt: skip
+    return row, found.history
 
 
 _COUPLE = [
@@ -70,24 +74,40 @@ def print_galvanic() -> None:
         print("fastest patch in spacings (0.2 mm, horizon 0.4 mm).")
         _head(["travel", *_COUPLE])
         for travel in (1.0, 0.5, 0.25, 0.1, 0.05):
-            row = couple_row(ae44_scene(cathode, 0.2e-3), travel)
+            row = couple_row(ae44_scene(cathode, 0.2e-3), travel)[0]
             print(table_line([f"{travel:g}", *row]), flush=True)
         print("\nSpacing, with the horizon held (0.4 mm), and horizon, with four spacings to it.")
         _head(["horizon [mm]", "spacing [mm]", *_COUPLE])
         for horizon, spacing in ((0.4, 0.4), (0.4, 0.2), (0.4, 0.1), (0.8, 0.2), (0.2, 0.05)):
             scene = ae44_scene(cathode, spacing * 1e-3, horizon * 1e-3)
-            row = couple_row(scene, 0.1 if spacing > 0.05 else 0.2)
+            row = couple_row(scene, 0.1 if spacing > 0.05 else 0.2)[0]
             print(table_line([f"{horizon:g}", f"{spacing:g}", *row]), flush=True)
         print("\nThe slopes as printed (Table 3), 0.2 mm, horizon 0.4 mm.")
         _head(["law", *_COUPLE])
         for name, printed in (("joined", False), ("as printed", True)):
             try:
-                row = couple_row(ae44_scene(cathode, 0.2e-3, as_published=printed), 0.1)
+                row = couple_row(ae44_scene(cathode, 0.2e-3, as_published=printed), 0.1)[0]
             except ArithmeticError as error:
                 row = [str(error)]
             print(table_line([name, *row]), flush=True)
+        print_robin(cathode)
     steps = ", ".join(f"{depth:g} mm for {step:g} mm" for step, depth in COMSOL.items())
     print(f"\nPublished for AA6063 at the joint, by the step of a mesh: {steps}.")
+
+
+def print_robin(cathode: str) -> None:
+    """The conservative form beside the published mirror nodes, at two spacings."""
+    print("\nHow the law meets the liquid, horizon 0.4 mm: the error of the first current against")
+    print("finite volumes, and the largest share by which the currents do not balance.")
+    _head(["spacing [mm]", "robin", "error, 0 d [%]", "open [%]", *_COUPLE])
+    for spacing in (0.4, 0.2):
+        for robin in ROBIN:
+            scene = ae44_scene(cathode, spacing * 1e-3, robin=robin)
+            row, found = couple_row(scene, 0.25)
+            off = 100 * (found["current_AE44"][0] / FIRST_CURRENT[cathode] - 1)
+            left = 100 * np.abs(found["imbalance"]).max()
+            cells = [f"{spacing:g}", robin, f"{off:+.3f}", f"{left:.2g}", *row]
+            print(table_line(cells), flush=True)
 
 
 # --- crevice --------------------------------------------------------------------------------
@@ -191,15 +211,20 @@ def print_pitting() -> None:
         (0.4, 0.7, 1e-3), (0.2, 0.7, 1e-3), (0.1, 0.7, 1e-3), (0.05, 0.7, 1e-3),
         (0.1, 0.5, 1e-3), (0.1, 0.6, 1e-3), (0.1, 0.8, 1e-3), (0.1, 0.7, 0.0), (0.1, 0.7, 1e-2),
     ):  # fmt: skip
-        scene = pits_2d.lacy_scene(2.5e-6, critical=critical, passive=passive)
-        stepping = TimeStepping(step=step)
-        done, seconds = _timed(lambda s=scene, t=stepping: pits.corrode(s, [40.0], t))
-        sizes = pits_2d.shape_of(scene, done.metal[-1])
-        lost = 100 * float(done.volume_loss[-1])
-        print(
-            table_line(
-                [f"{step:g}", f"{critical:g}", f"{passive:g}", *(f"{1e6 * v:.1f}" for v in sizes),
-                 f"{lost:.2f}", f"{seconds:.1f}"]
-            ),
-            flush=True,
-        )  # fmt: skip
+        scene = pits_2d.lacy_scene(2.5e-6, critical=critical, passive=passive, rupture=None)
+        row = _lacy_row(scene, step, 40.0)
+        print(table_line([f"{step:g}", f"{critical:g}", f"{passive:g}", *row]), flush=True)
+    print("\nThe same with a film that breaks where a node has lost a share of its metal, 83 s.")
+    _head(["step [s]", "breaks at", "depth [um]", "width", "surface", "lost [%]", "s"])
+    for step, rupture in ((0.2, None), (0.2, (0.15, 0.02)), (0.1, (0.15, 0.02))):
+        row = _lacy_row(pits_2d.lacy_scene(2.5e-6, rupture=rupture), step, 83.0)
+        share = "never" if rupture is None else f"{rupture[0]:g}"
+        print(table_line([f"{step:g}", share, *row]), flush=True)
+
+
+def _lacy_row(scene: CorrosionScene, step: float, end: float) -> list[str]:
+    """Depth, width and opening of a pit (um), what is lost (%), processor time (s)."""
+    done, seconds = _timed(lambda: pits.corrode(scene, [end], TimeStepping(step=step)))
+    sizes = pits_2d.shape_of(scene, done.metal[-1])
+    lost = 100 * float(done.volume_loss[-1])
+    return [*(f"{1e6 * v:.1f}" for v in sizes), f"{lost:.2f}", f"{seconds:.1f}"]

@@ -31,7 +31,7 @@ from peri.engine.influence import Stencil
 from peri.engine.lattice import Lattice
 from peri.engine.operators import NonlocalSum, signed_bonds
 from peri.engine.solvers import ConvergenceError
-from peri.transport.potential.electrostatics import Electrode
+from peri.transport.potential.electrostatics import Electrode, PotentialField, PotentialProblem
 from peri.transport.potential.polarization import surface_potential
 
 _NEWTON_STEPS = 60
@@ -219,10 +219,10 @@ class MirrorPotential:
         """sum_j w_ij (u_i - u_j) over liquid and mirror nodes, V/m^2."""
         return self._matrix @ u - self._behind @ self.mirror_values(u)[0]
 
-    def solve(self, tolerance: float = 1e-11) -> MirrorField:
+    def solve(self, tolerance: float = 1e-11, guess: np.ndarray | None = None) -> MirrorField:
         """The potential by Newton's method with a shortened step where the residual grows.
 
-        tolerance : residual over its terms, 2-norms.
+        tolerance : residual over its terms, 2-norms.  guess : phi to start with, V.
 
         Raises
         ------
@@ -230,6 +230,8 @@ class MirrorPotential:
             Where no step lessens the residual, or the steps do not reach the tolerance.
         """
         u = np.zeros(self._matrix.shape[0])
+        if guess is not None:
+            u = -np.nan_to_num(guess[self.liquid])
         diagonal = self._matrix.diagonal()
         norm = np.inf
         for steps in range(_NEWTON_STEPS + 1):
@@ -270,3 +272,38 @@ class MirrorPotential:
         phi[self.liquid] = -u
         share = float(by_law.sum()) / size if size > 0 else 0.0
         return MirrorField(phi, currents, by_law, share, steps)
+
+
+class MirrorProblem(PotentialProblem):
+    """A potential problem whose liquid is solved with mirror nodes.
+
+    Patches are those of the bond form: each carries what its law gives at the potential that it
+    sees in that liquid, so that the currents of all need not balance (`imbalance`), and a surface
+    stays where its nodes are until they are empty, as published.  Parameters as PotentialProblem;
+    `conductivity` is one number.
+    """
+
+    def __init__(
+        self,
+        lattice: Lattice,
+        stencil: Stencil,
+        liquid: np.ndarray,
+        electrodes: Sequence[Electrode],
+        conductivity: float,
+    ) -> None:
+        super().__init__(lattice, stencil, liquid, electrodes, conductivity)
+        self._mirror = MirrorPotential(lattice, stencil, self.liquid, electrodes, conductivity)
+
+    def recede(self, depth: np.ndarray) -> None:
+        """Nothing: mirror nodes lie behind the faces of the lattice."""
+        super().recede(np.zeros_like(depth))
+
+    def solve(self, guess: np.ndarray | None = None, tolerance: float = 1e-9) -> PotentialField:
+        """As PotentialProblem.solve; ConvergenceError as MirrorPotential.solve."""
+        found = self._mirror.solve(tolerance, guess)
+        seen = self._see(self.unknown * self.sum.pad(-np.nan_to_num(found.potential)))
+        surface, density, slope = self._currents(seen)
+        imbalance = self._imbalance(surface, density, slope)
+        return PotentialField(
+            found.potential, self.patches, density, surface, imbalance, found.newton, 0
+        )

@@ -1,5 +1,7 @@
 """Couples that corrode: closed forms, Faraday's law, finite volumes, extreme geometries."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import trapezoid
@@ -66,6 +68,38 @@ def test_a_slab_dissolves_by_the_closed_form():
     assert (np.abs(off[-1]) < 1.5e-4).all() and abs(off[-1][2]) < 2e-5
     orders = np.log2(np.abs(off[0] / off[1])), np.log2(np.abs(off[1] / off[2]))
     np.testing.assert_allclose(orders, 2.0, atol=0.05)
+
+
+def test_mirror_nodes_march():
+    """Between plates they are exact; their surface stays where its nodes are until these are gone.
+
+    So the gap grows by whole spacings, half a spacing late on the mean.
+    """
+    scene = slab(spacing=2e-3, resistance=1e-3)
+    times = np.array([100, 365]) * DAY
+    bonds = corrode(scene, times, Renewal(0.1))
+    mirror = corrode(replace(scene, robin="as_published"), times, Renewal(0.1))
+    exact = 0.5 / (2 * 1e-3 + 0.1 / 2.5)
+    for found in (bonds, mirror):
+        assert found.history["current_anode"][0] == pytest.approx(exact, rel=1e-9)
+        assert np.abs(found.history["faraday_error"]).max() < 1e-12
+        assert np.abs(found.history["imbalance"]).max() < 1e-9
+    off = mirror.depths() / bonds.depths() - 1
+    assert bonds.depths()[-1].sum() > 10e-3  # six spacings
+    # measured 1.2 %
+    assert 0.0 < off[-1].max() < 0.02
+
+
+def test_mirror_nodes_refuse_what_they_do_not_have():
+    scene = slab(spacing=5e-3)
+    kappa, held = np.full(scene.lattice.shape, 2.5), np.full(scene.lattice.shape, np.nan)
+    for changes, words in (
+        ({"robin": "mirror"}, "it must be one of conservative, as_published"),
+        ({"conductivity": kappa}, "mirror nodes take one conductivity"),
+        ({"held": held}, "mirror nodes take no held nodes"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            replace(scene, **{"robin": "as_published", **changes})
 
 
 @pytest.mark.parametrize(

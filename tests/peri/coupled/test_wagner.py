@@ -1,5 +1,7 @@
 """What a couple leaves out, with its bound beside the full computation."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -115,3 +117,8 @@ def test_refusals():
         couple_omissions(scene, refused=["transport"])
     with pytest.raises(ValueError, match="change: 1.0; it must be from 0"):
         Renewal(change=1.0)
+
+
+def test_mirror_nodes_leave_nothing_out():
+    scene = replace(couple(2.5, *LAWS[0]), robin="as_published")
+    assert not any(o.applied for o in couple_omissions(scene, tolerance=0.5))

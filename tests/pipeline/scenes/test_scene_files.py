@@ -259,6 +259,28 @@ def test_reductions_are_refused_by_name(tmp_path, capsys):
     refused(capsys, [*run, str(tmp_path / "three")], "did you mean renewal?")
 
 
+def test_mirror_nodes_are_an_option_of_galvanic_scenes(tmp_path, capsys):
+    file = tmp_path / "own.toml"
+    run = ["run", str(file), "--quiet", "--out"]
+    file.write_text(OWN + '[potential]\nrobin = "as_published"\n')
+    assert main([*run, str(tmp_path / "one")]) == 0
+    assert "left out" not in capsys.readouterr().out  # no bound holds for them
+    with (tmp_path / "one" / "summary.csv").open(newline="", encoding="utf-8") as table:
+        found = {row["quantity"]: float(row["value"]) for row in csv.DictReader(table)}
+    assert 1e-6 < found["currents left open, largest"] < 0.2
+    assert main(["plan", str(file)]) == 0
+    assert "not of mirror nodes" in " ".join(capsys.readouterr().out.split())
+    file.write_text(OWN + '[potential]\nrobin = "mirror"\n')
+    refused(capsys, [*run, str(tmp_path / "two")], "potential.robin is 'mirror'", "as_published")
+    text = OWN.replace('low = ["0mm", "0mm"]\nhigh = ["24', 'low = ["0mm", "0mm"]\nhigh = ["600')
+    text = text.replace('"12mm"', '"400mm"') + '[potential]\nrobin = "as_published"\n'
+    file.write_text(text)
+    refused(capsys, [*run, str(tmp_path / "two")], "potential.robin", "at most 200,000 nodes")
+    couple = path_of("screw-in-titanium-plate").read_text(encoding="utf-8")
+    file.write_text(couple + '[potential]\nrobin = "as_published"\n')
+    refused(capsys, [*run, str(tmp_path / "two")], "'potential' is not known")
+
+
 def test_what_belongs_to_another_command_is_refused(tmp_path, capsys):
     file = tmp_path / "own.toml"
     file.write_text(OWN)

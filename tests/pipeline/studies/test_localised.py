@@ -1,5 +1,6 @@
 """Rows of the studies of localised corrosion, small."""
 
+import numpy as np
 import pytest
 
 from pipeline.cli import main
@@ -19,7 +20,8 @@ def test_seeds_ignite_where_they_should():
 
 @pytest.mark.slow
 def test_a_couple_row_has_currents_and_depths():
-    row = couple_row(ae44_scene("AA6063", 1e-3, 2e-3), 0.5)
+    row, history = couple_row(ae44_scene("AA6063", 1e-3, 2e-3), 0.5)
+    assert np.abs(history["imbalance"]).max() < 1e-12
     assert float(row[0]) == pytest.approx(0.0514, rel=0.02)
     joint, deepest, *along = (float(v) for v in row[2:8])
     assert 0.15 < joint <= deepest < COMSOL[1e-4]
