@@ -84,6 +84,7 @@ BELOW = {
         "liquid_factors": {"kinetics"},
         "passivity": {"kinetics"},
         "polarization": {"kinetics"},
+        "rate_laws": {"acidity", "kinetics", "passivity"},
         "metal": {"kinetics"},
         "laws": {"choices", "metal"},
         "scene": {"choices", "coating", "kinetics", "laws", "metal"},
