@@ -51,6 +51,8 @@ _MAXIMUM_HALVINGS = 8
 _TOO_LITTLE = "the liquid holds too little salt for this release"
 _RESOLVED = 1e-11
 """Share of its largest change below which a component that the medium lacks counts as absent."""
+_BARELY = 1e-6
+"""The same while the solution is looser than that (`unresolved`), at most."""
 
 
 class QuasiSteadyLiquid:
@@ -125,6 +127,7 @@ class QuasiSteadyLiquid:
             )
             for i, mineral in enumerate(chemistry.minerals)
         ]
+        self.unresolved = np.zeros(nu.shape[1])
         self.sunk: dict[int, SunkSystem] = {}
         self.migration = Migration(self.options.flux_form, space, chemistry)
         if self.needs_a_way_out:
@@ -169,10 +172,11 @@ class QuasiSteadyLiquid:
             return out
 
         lacking = (self.bulk == 0).all(axis=1) & self.composer.only_positive
-        unresolved = {
-            int(e): _RESOLVED * np.abs(change(int(e), slice(None))).max(initial=0.0)
-            for e in np.flatnonzero(lacking)
-        }
+        unresolved = {}
+        for e in np.flatnonzero(lacking):
+            largest = np.abs(change(int(e), slice(None))).max(initial=0.0)
+            round_ = min(self.unresolved[e], _BARELY * largest)
+            unresolved[int(e)] = max(_RESOLVED * largest, round_)
 
         def target(nodes: np.ndarray | slice) -> np.ndarray:
             bulk = self.bulk if self.bulk.shape[1] == 1 else self.bulk[:, nodes]

@@ -8,7 +8,8 @@ A step of length tau from the totals T_old of every component to T = sum_k nu_k 
 Pi, but lies between Pi over the largest and the smallest diffusivity, so a shift sigma = 1/(D tau)
 with a D between them takes most of it:
 
-    (A + sigma) X = N - (T - T_old) / tau + sigma (Pi - Pi_medium),
+    (A + sigma_e) X_e = N_e - (T_e - T_e,old) / tau + sigma (Pi_e - Pi_e,medium)
+                        + (sigma_e - sigma) X_e,
     Pi = Pi_medium + s g + X - sum_m nu_m G_m,   (A + sigma) g = q,   (A + sigma) G_m = r_m.
 
 Minerals are solved as at rest, with A + sigma in the place of A.  What the right side of X still
@@ -77,8 +78,24 @@ class StoredLiquid(QuasiSteadyLiquid):
         self._open_space = space
         # What minerals hold may be far more than what moves.
         self.relative = 1e-2 * self.options.tolerance
-        d = self.chemistry.diffusivity
-        self._slowness = 0.5 * (1.0 / d.min() + 1.0 / d.max())
+        self._slowness, self._slowness_of = self._slownesses()
+
+    def _slownesses(self) -> tuple[float, np.ndarray]:
+        """1/D of the shift of release and minerals, and of that of every component, (E,), s/m2.
+
+        A component that moves with one diffusivity takes a round.  One that the medium lacks is
+        next to nothing far from the metal; it stays positive in a round if neither its own shift
+        nor that of release and minerals is below 1/D of any of its species.
+        """
+        d, nu = self.chemistry.diffusivity, self.chemistry.stoichiometry
+        slowest = np.array([1.0 / d[column != 0].min() for column in nu.T])
+        fastest = np.array([1.0 / d[column != 0].max() for column in nu.T])
+        lacking = (self.bulk == 0).all(axis=1) & self.composer.only_positive
+        between = 0.5 * (1.0 / d.min() + 1.0 / d.max())
+        return (
+            float(slowest[lacking].max(initial=0.0)) or between,
+            np.where(lacking, slowest, 0.5 * (slowest + fastest)),
+        )
 
     def content(self, state: LiquidState) -> np.ndarray:
         """Totals of the components, (E, n), mol/m3."""
@@ -91,6 +108,12 @@ class StoredLiquid(QuasiSteadyLiquid):
         space.degree = space.degree + sigma
         space.exit = space.exit + sigma
         self.space, self.sigma, self.plain = space, sigma, space.system()
+        self._shift_of = self._slowness_of / step
+        systems = {
+            shift: self._open_space.system(sink=np.full(space.n, shift))
+            for shift in set(self._shift_of)
+        }
+        self._plain_of = [systems[shift] for shift in self._shift_of]
         unshifted = np.full(space.n, _LOOSE * sigma)
         self._loose = self._open_space.system(sink=unshifted)
 
@@ -123,6 +146,7 @@ class StoredLiquid(QuasiSteadyLiquid):
         self._check_current()
         self._shift(step)
         self.sunk.clear()
+        self.unresolved[:] = 0.0
         space, options = self.space, self.options
         there = np.zeros((len(self.minerals), space.n)) if amounts is None else amounts
         state = start.copy()
@@ -203,16 +227,23 @@ class StoredLiquid(QuasiSteadyLiquid):
                     limit = _SATURATION * stiffness * scarcest
                     noise = np.maximum(noise, np.abs(mineral.nu) * limit)
             enough = np.maximum(wanted, noise)
-            if (residual <= enough).all() and not (neutral and charge > enough[self.inert]):
+            balanced = (residual <= enough).all()
+            if balanced and not (neutral and charge > enough[self.inert]):
                 state.psi = psi
                 if neutral:
                     self._neutralise(state)
                 return
             new = np.empty_like(state.migrated)
+            smallest = float(space.volume.min())
             for e, r in enumerate(right):
-                tight = max(0.1 * enough[e], 1e-3 * residual[e])
-                new[e], used = space.solve(self.plain, r, state.migrated[e], tight)
+                # Where only the charge is left, it takes more than the ions' balances do.
+                tight = max((1e-3 if balanced else 0.1) * enough[e], 1e-3 * residual[e])
+                more = self._shift_of[e] - self.sigma
+                r = r + more * space.volume * state.migrated[e]
+                new[e], used = space.solve(self._plain_of[e], r, state.migrated[e], tight)
                 state.iterations += used
+                # (A + shift)^-1 is nowhere more than 1 / shift.
+                self.unresolved[e] = tight / (self._shift_of[e] * smallest)
             old = np.vstack([state.migrated / size[:, None], state.psi])
             found = np.vstack([new / size[:, None], psi])
             mixed = mixing.next(old.ravel(), found.ravel()).reshape(old.shape)
