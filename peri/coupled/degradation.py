@@ -381,7 +381,7 @@ class Degradation(CorrosionProblem):
         stage = super().stage(old, tau, guess)
         if not self.follows_minerals:
             return stage
-        self.discrete.drop_work()  # as large as that of the liquid, which is solved now
+        self.discrete.set_aside()  # what is as large as the liquid's, which is solved now
         assert isinstance(stage.extra, MetalStage)
         if stage.extra.switch is not None and self.scene.saturation != "complementarity":
             stage.fields["switch"] = stage.extra.switch

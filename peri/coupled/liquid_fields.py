@@ -44,9 +44,10 @@ class LiquidFields:
         liquid, n = self.around.liquid, self.around.space.n
         scalars = {name: fields[f"liquid_{name}"] for name in _SCALARS}
         active = [row > 0 for row in fields["liquid_active"]]
-        concentration, charge = np.empty((len(liquid.chemistry.names), n)), np.empty(n)
+        shape = (len(liquid.chemistry.names), n)
+        concentration, charge = np.broadcast_to(np.nan, shape), np.broadcast_to(np.nan, n)
         if composed:
-            liquid.composer.concentrations(scalars["ln_component"], liquid.b, concentration)
+            concentration = liquid.composer.concentrations(scalars["ln_component"], liquid.b)
             charge = liquid.chemistry.charge @ concentration
         return LiquidState(concentration=concentration, net_charge=charge, active=active, **scalars)
 

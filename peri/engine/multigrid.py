@@ -10,7 +10,6 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from peri.engine import multigrid_kernels
-from peri.engine.scratch import Scratch
 
 _COARSEST_CELLS = 150
 _LONGEST_LINE = 20_000
@@ -77,11 +76,6 @@ class LocalMultigrid:
         other.levels[-1].factorise()
         return other
 
-    def drop_work(self) -> None:
-        """Give back what is needed in a cycle only, until the next one."""
-        for level in self.levels:
-            level.scratch.drop()
-
     def restrict(self, residual: np.ndarray, reach: tuple[int, ...]) -> np.ndarray:
         """Sum a padded fine-lattice residual into the right side of the first level."""
         level = self.levels[0]
@@ -97,8 +91,8 @@ class LocalMultigrid:
         visits = 1 if index == 0 else 2
         for _ in range(visits):
             coarse = self.levels[index + 1]
-            residual = level.residual()
-            multigrid_kernels.aggregate(residual, (1, 1, 1), self.steps[index], coarse.b)
+            level.residual()
+            multigrid_kernels.aggregate(level.r, (1, 1, 1), self.steps[index], coarse.b)
             multigrid_kernels.prolong_add(
                 self.cycle(index + 1), self.steps[index], (1, 1, 1), level.x
             )
@@ -171,17 +165,7 @@ class _Level:
             padded[_INNER] = face
             self.t.append(padded)
         self._make_diagonal(sink)
-        self.scratch = Scratch(shape, 4)
-
-    @property
-    def x(self) -> np.ndarray:
-        """The solution."""
-        return self.scratch.arrays()[0]
-
-    @property
-    def b(self) -> np.ndarray:
-        """The right side."""
-        return self.scratch.arrays()[1]
+        self.x, self.b, self.d, self.r = (np.zeros(shape) for _ in range(4))
 
     def _make_diagonal(self, sink: np.ndarray) -> None:
         self.diagonal = np.zeros(tuple(n + 2 for n in sink.shape))
@@ -199,26 +183,22 @@ class _Level:
 
     def smooth(self, from_zero: bool) -> None:
         """Chebyshev steps of the fourth kind for the spectrum (0, 2] of the scaled operator."""
-        x, b, d, _ = self.scratch.arrays()
         if from_zero:
-            multigrid_kernels.first_step(x, b, self.inverse, d, _FIRST_SCALE)
+            multigrid_kernels.first_step(self.x, self.b, self.inverse, self.d, _FIRST_SCALE)
         for n in range(2 if from_zero else 1, _SMOOTHING_STEPS + 1):
             multigrid_kernels.local_step(
-                x,
-                b,
+                self.x,
+                self.b,
                 *self.t,
                 self.inverse,
-                d,
+                self.d,
                 (2 * n - 3) / (2 * n + 1) if n > 1 else 0.0,
                 (8 * n - 4) / (2 * n + 1) / 2.0,  # _FIRST_SCALE for n = 1
             )
-            multigrid_kernels.add_to(x, d)
+            multigrid_kernels.add_to(self.x, self.d)
 
-    def residual(self) -> np.ndarray:
-        """b - A x, of which the margin is zero."""
-        x, b, _, r = self.scratch.arrays()
-        multigrid_kernels.local_residual(x, b, *self.t, self.diagonal, r)
-        return r
+    def residual(self) -> None:
+        multigrid_kernels.local_residual(self.x, self.b, *self.t, self.diagonal, self.r)
 
     def factorise(self) -> None:
         """Dense inverse of a small operator, sparse factors of a long one."""

@@ -17,7 +17,6 @@ import numpy as np
 from peri.engine import kernels
 from peri.engine.multigrid import LocalMultigrid
 from peri.engine.operators import Convolution, LocalCoefficients, NonlocalSum, Operator
-from peri.engine.scratch import Scratch
 from peri.engine.walls import Walls, WithWalls
 
 log = logging.getLogger(__name__)
@@ -96,7 +95,7 @@ class LinearSystem:
             self.sum.spacing,
             coarsest_start=0.5 * np.multiply(self.sum.spacing, self.sum.reach),
         )
-        self._work = Scratch(self.sum.padded_shape, 4 if self.symmetric else 8)
+        self._work = [np.zeros(self.sum.padded_shape) for _ in range(4 if self.symmetric else 8)]
 
     def with_extra(self, extra: Extra, extra_diagonal: np.ndarray) -> None:
         """Take another `extra` and its diagonal, with the multigrid of the one before.
@@ -109,12 +108,6 @@ class LinearSystem:
         inverse = _inverse_of(full)
         self.extra = extra
         self._inverse = inverse if self._scale is None else inverse * self._scale
-
-    def drop_work(self) -> None:
-        """Give back what is needed in a solution only (half of the memory), until the next one."""
-        self._work.drop()
-        if isinstance(self.multigrid, LocalMultigrid):
-            self.multigrid.drop_work()
 
     def apply(self, u: np.ndarray, y: np.ndarray, q: np.ndarray | None = None) -> float:
         """y = A u, for u that is zero off the unknowns; returns u . A u.
@@ -166,7 +159,7 @@ class LinearSystem:
     def _conjugate_gradients(
         self, x: np.ndarray, r: np.ndarray, absolute: float, maximum_iterations: int
     ) -> int:
-        z, p, q, y = self._work.arrays()
+        z, p, q, y = self._work
         p[:] = 0.0
         total, rows = self.processes.total, self.sum.rows
         right = self.mask if self.operator.right is None else self.operator.right
@@ -191,7 +184,7 @@ class LinearSystem:
         The residual is updated, not recomputed; it is checked against A x in the end, and the
         iteration goes on from the true one if they differ.
         """
-        p, v, p_hat, s_hat, t, shadow, b, y = self._work.arrays()
+        p, v, p_hat, s_hat, t, shadow, b, y = self._work
         self.apply(x, y)
         np.add(r, y, out=b)
         norm, iterations, fresh = self._norm(r), 0, True

@@ -45,13 +45,13 @@ class LiquidState:
         """
         return LiquidState(
             self.ln_component.copy(),
-            np.empty_like(self.concentration),
+            np.empty(self.concentration.shape),
             self.release.copy(),
             self.extents.copy(),
             self.migrated.copy(),
             self.rates.copy(),
             self.psi.copy(),
-            np.empty_like(self.net_charge),
+            np.empty(self.net_charge.shape),
             active=[a.copy() for a in self.active],
             held_psi=self.held_psi,
         )

@@ -19,6 +19,7 @@ from pipeline.scene.mechanics import TensileScene
 from pipeline.scene.scene import HoldScene, Scene, ScrewGeometry
 from pipeline.scene.units import format_bytes, format_length, format_seconds
 from pipeline.stages.corrosion import domain_lattice, liquid_domain, march_omissions
+from pipeline.stages.ion_memory import ion_memory
 from pipeline.stages.sizes import check_screw, check_sizes
 
 BASE_MEMORY = 400e6
@@ -76,8 +77,8 @@ class Cost:
     four-node cells, and bytes per unknown of one process; parting: how many times that where the
     metal parts between the grips, with smaller increments and more iterations; picture: seconds of
     one in the report; report: of the rest of it; ions: seconds per node and solution of the liquid,
-    bytes per node and field, solutions of a march that follows minerals; mesh: seconds per cell;
-    disk: bytes per node and time.
+    solutions of a march that follows minerals; mesh: seconds per cell; disk: bytes per node and
+    time.
     """
 
     corrosion_seconds_per_node: float = 1.1e-4
@@ -91,7 +92,6 @@ class Cost:
     report_seconds: float = 8.0
     tensile_bytes_per_unknown: float = 1.0e4
     ion_seconds_per_node: float = 5.0e-5
-    ion_bytes_per_field: float = 100.0
     ion_solutions: int = 60
     mesh_seconds_per_cell: float = 5.0e-5
     solid_seconds: float = 5.0
@@ -148,7 +148,11 @@ def make_plan(
         )
     ]
     labels = ", ".join(time.label for time in times)
-    ion_seconds, ion_bytes, ion_disk = _ion_cost(scene, len(times))
+    ion_seconds, ion_disk = _ion_cost(scene, len(times))
+    march_memory = COST.corrosion_bytes_per_node * nodes
+    if scene.ions is not None:
+        domain = liquid_domain(scene, solid.points)
+        march_memory = ion_memory(scene, domain, nodes, metal, len(times))
     if scene.corrosion.classes:
         triangles, faces = len(solid.triangles), solid.area / scene.lattice.spacing**2
         tasks.append(
@@ -171,7 +175,7 @@ def make_plan(
                 f"{nodes:,} nodes ({metal:,} metal), {bonds} bonds each, {labels}"
                 + _ions_in_words(scene),
                 (COST.corrosion_seconds_per_node + ion_seconds) * nodes,
-                BASE_MEMORY + (COST.corrosion_bytes_per_node + ion_bytes) * nodes,
+                BASE_MEMORY + march_memory,
                 (COST.disk_bytes_per_node + ion_disk) * nodes * len(times),
             )
         )
@@ -229,15 +233,13 @@ def make_plan(
     )
 
 
-def _ion_cost(scene: Scene, times: int) -> tuple[float, float, float]:
-    """Seconds and bytes per node of the ions' part of a march, bytes on disk per node and time."""
+def _ion_cost(scene: Scene, times: int) -> tuple[float, float]:
+    """Seconds per node of the ions' part of a march, bytes on disk per node and time."""
     if scene.ions is None:
-        return 0.0, 0.0, 0.0
+        return 0.0, 0.0
     fields = len(scene.ions.chemistry["charge_number"]) + len(scene.ions.minerals) + 2
-    stored = 4.0 * fields  # one number of 4 bytes per field and output time
-    memory = COST.ion_bytes_per_field * fields + stored * times
     solutions = times if not scene.ions.minerals else COST.ion_solutions
-    return COST.ion_seconds_per_node * solutions, memory, 2.0 * stored
+    return COST.ion_seconds_per_node * solutions, 8.0 * fields
 
 
 def _ions_in_words(scene: Scene) -> str:

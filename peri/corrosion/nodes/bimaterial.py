@@ -50,9 +50,9 @@ class BiMaterial(InterfaceRates):
         """Drop the preconditioner of earlier stages."""
         self._solver.forget()
 
-    def drop_work(self) -> None:
-        """Give back what is needed in a solution only."""
-        self._solver.drop_work()
+    def set_aside(self) -> None:
+        """Give the preconditioner's memory back until the next stage."""
+        self._solver.set_aside()
 
     def volume_loss(self, concentration: np.ndarray) -> float:
         """See Balance.volume_loss."""

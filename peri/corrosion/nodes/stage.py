@@ -62,15 +62,16 @@ class StageSolver:
         self.d = d
         self._system: DiffusionSystem | None = None
         self._system_key: tuple[float, bytes | None] | None = None
+        self._metal: tuple[np.ndarray, float] | None = None
+        """The metal's diagonal and its share of storage that the system was made with."""
 
     def forget(self) -> None:
         """Drop the preconditioner of earlier stages."""
-        self._system = None
+        self._system = self._system_key = None
 
-    def drop_work(self) -> None:
-        """Give back what is needed in a solution only."""
-        if self._system is not None:
-            self._system.drop_work()
+    def set_aside(self) -> None:
+        """Give its memory back; a later stage makes it anew, the same to the last bit."""
+        self._system = None
 
     def solve(
         self,
@@ -242,6 +243,10 @@ class StageSolver:
         p, d = self.d, self.d.scene.liquid_diffusivity
         key = (tau, None if active is None else active.tobytes())
         if p.processes.any(self._system is None or self._system_key != key):
+            if p.processes.any(self._system_key != key):
+                self._metal = None
+                if exchange is not None:
+                    self._metal = exchange.diagonal().copy(), exchange.storage_share
             weight = p.free_volume.copy()
             if active is not None:
                 weight[p.window][active[p.box.interior]] = 0.0
@@ -251,9 +256,10 @@ class StageSolver:
                 on = (weight > 0).astype(float)
                 sink = sink + on * (p.walls.diagonal - p.walls.gain(on, np.zeros_like(on)))
             extra_diagonal = None
-            if exchange is not None:
-                extra_diagonal = (weight > 0) * p.put(exchange.diagonal())
-                sink = sink + extra_diagonal * exchange.storage_share
+            if self._metal is not None:
+                metal_diagonal, storage_share = self._metal
+                extra_diagonal = (weight > 0) * p.put(metal_diagonal)
+                sink = sink + extra_diagonal * storage_share
             self._system = DiffusionSystem(
                 p.sum, weight, diagonal, d, sink, extra_diagonal=extra_diagonal, walls=p.walls
             )
