@@ -153,7 +153,8 @@ def _by_itself(run: RunResults, own: dict[str, float]) -> str:
     return (
         f"The run itself finds the volume loss off by about {errors} of its value because the "
         "solid's surface was sampled: by the change with other parts, and with all samples "
-        f"instead of rate classes; {more} come on top."
+        "instead of rate classes (of simple bodies, 0.6 to 3.5 times what they are off); "
+        f"{more} come on top."
     )
 
 

@@ -12,11 +12,14 @@ from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from peri.corrosion.classes.volumes import Volumes
 
 Array = NDArray[np.float64]
+
+_SETTLED = 1e-13
+"""How well V_L and the rate that it causes agree."""
+_TRIALS = 60
 
 
 class Bonds(ABC):
@@ -40,15 +43,17 @@ class Bonds(ABC):
     ) -> None:
         self.cells, self.theta, self.old, self.tau = cells, theta, old, tau
         self.liquid = liquid
-        weight = (theta * cells.free_share + cells.held_share) * cells.nu
-        self._open = cells.gather(cells.near(weight))
+        self.weight = theta * cells.free_share * cells.nu
+        self._open = cells.gather(cells.near(self.weight + cells.held_share * cells.nu))
+        self.mu, self.seen = cells.mu, cells.mu * self._open
 
     def set_rate(self, volume_loss: float) -> None:
         """Take the kinetics at a volume loss."""
         self.rate, local = self.cells.interface_rate(volume_loss, self.liquid)
         self.own = np.ndim(local) > 0
-        self.mu = self.cells.mu * local
-        self.seen = self.mu * self._open
+        if self.own:
+            self.mu = self.cells.mu * local
+            self.seen = self.mu * self._open
 
     def pull(self) -> Array:
         """nu_j sum_ip v_ip mu_ip w_ij with the classes' own rates."""
@@ -62,24 +67,26 @@ class Bonds(ABC):
         """How fast the classes' life goes (columns.py), <= 0, 1/s."""
 
     def settle(self, liquid: Array, start: float) -> float:
-        """V_L that agrees with the rate it causes, for given liquid; sets the rate."""
-        cells = self.cells
+        """V_L that agrees with the rate it causes, for given liquid; sets the rate.
+
+        What is lost falls as V_L grows in the kinetics, so there is one in [0, 1]: a secant kept
+        inside its bracket.
+        """
         self.draw(liquid)
-
-        def excess(loss: float) -> float:
+        loss, low, high = start, 0.0, 1.0
+        last: tuple[float, float] | None = None
+        for _ in range(_TRIALS):
             self.set_rate(loss)
-            return cells.volume_loss(self.value()) - loss
-
-        low, high = 0.0, 1.0
-        for guess in (start - 1e-6, start + 1e-6):
-            if 0.0 < guess < 1.0:
-                low, high = (guess, high) if excess(guess) > 0 else (low, guess)
-        loss = low
-        if excess(low) > 0 >= excess(high):
-            loss = float(brentq(excess, low, high, xtol=1e-13, rtol=1e-13))
-        elif excess(high) > 0:
-            loss = high
-        self.set_rate(loss)
+            found = self.cells.volume_loss(self.value())
+            excess = found - loss
+            if abs(excess) <= _SETTLED or high - low <= _SETTLED:
+                break
+            low, high = (loss, high) if excess > 0 else (low, loss)
+            trial = found
+            if last is not None and excess != last[1]:
+                trial = loss - excess * (loss - last[0]) / (excess - last[1])
+            last = loss, excess
+            loss = trial if low < trial < high else 0.5 * (low + high)
         self.settled()
         return loss
 
@@ -134,9 +141,7 @@ class ProportionalBonds(Bonds):
 
     def draw(self, liquid: Array) -> None:
         """sum_j w_ij c_j nu_j theta_j C_j."""
-        cells = self.cells
-        drawn = cells.near(self.theta * cells.free_share * cells.nu * liquid)
-        self.drawn = cells.gather(drawn)
+        self.drawn = self.cells.gather(self.cells.near(self.weight * liquid))
 
     def value(self) -> Array:
         """C_ip = (old/tau + k mu a) / (1/tau + k mu b)."""
@@ -152,6 +157,7 @@ class ProportionalBonds(Bonds):
         self.storage_share = float(np.mean(self.response)) / self.tau
         self.pulled = self.pull()
         self.diagonal = self.rate * self.theta * cells.free_share * self.pulled
+        self._passed_on = cells.volume * self.response * (self.rate * self.mu) ** 2
 
     def arriving(self, classes: Array) -> Array:
         """See Bonds.arriving."""
@@ -167,11 +173,8 @@ class ProportionalBonds(Bonds):
     def through(self, liquid: Array) -> Array:
         """See Bonds.through."""
         cells = self.cells
-        drawn = cells.near(self.theta * cells.free_share * cells.nu * liquid)
-        inflow = self.mu * cells.gather(drawn)
-        values = cells.volume * self.mu * self.response * self.rate * inflow
-        out = cells.near(cells.scatter(values))
-        return self.rate * self.theta * cells.free_share * cells.nu * out
+        drawn = cells.gather(cells.near(self.weight * liquid))
+        return self.weight * cells.near(cells.scatter(self._passed_on * drawn))
 
     def correct(self, classes: Array, change: Array, saturated: float) -> Array:
         """See Bonds.correct."""

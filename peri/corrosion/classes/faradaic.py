@@ -32,6 +32,13 @@ class FaradaicBonds(Bonds):
     by_class = False
     ahead = 0.0  # what a class lacks within a step others give already
 
+    _left: Array | None = None
+
+    def set_rate(self, volume_loss: float) -> None:
+        """See Bonds.set_rate."""
+        super().set_rate(volume_loss)
+        self._left = None
+
     def settle(self, liquid: Array, start: float) -> float:
         """See Bonds.settle; a constant rate needs no search."""
         if self.cells.scene.kinetics.needs:
@@ -46,13 +53,16 @@ class FaradaicBonds(Bonds):
         """Nothing follows from the rate alone."""
 
     def value(self) -> Array:
-        """old - on tau k C_solid mu b, >= 0."""
+        """old - on tau k C_solid mu b, >= 0; the liquid plays no part."""
+        if self._left is not None:
+            return self._left
         demand = self.tau * self.rate * self.cells.scene.solid_concentration * self.seen
         own = np.minimum(demand, self.old)
         given = np.minimum(own + self._open_share() * (self._given(demand) - own), self.old)
         full = (self.old > 0).astype(float)
         self.on = np.divide(given, demand, out=full, where=demand > 0)
-        return self.old - given
+        self._left = self.old - given
+        return self._left
 
     def _open_share(self) -> Array:
         """(n,) what saturation leaves of each class's bonds, 0..1."""

@@ -71,19 +71,23 @@ class StageSolver:
         active = (theta < 1.0) & reached
         law = CLASS_BONDS[self.cells.scene.dissolution.name]
         iterations, stall = 0, saturation.Stall()
+        whole: Array | None = None  # what all cells need, where nothing changed since
         seen = FixedPoint(ONE_PROCESS)
         for rounds in range(1, _ROUNDS + 1):
-            y[active] = saturated
+            if np.any(y[active] != saturated):
+                y[active], whole = saturated, None
             guessed, drift = seen.settle(self.cells.seen_liquid(y))
             bonds = law(self.cells, theta, old_classes, tau, guessed)
             volume_loss = bonds.settle(y, volume_loss)
-            count, solved = self._solve(y, old, tau, bonds, active)
+            whole = self._needed(y, old, tau) if whole is None else whole
+            count, solved = self._solve(y, old, tau, bonds, active, whole)
             iterations += count
             classes = bonds.classes(y)
             loss = self.cells.volume_loss(classes)
             settled = solved and abs(loss - volume_loss) <= _LOSS_TOLERANCE and drift <= _DRIFT
             volume_loss = loss
-            needed = np.where(active, self._needed(y, old, tau), 0.0)
+            whole = self._needed(y, old, tau)
+            needed = np.where(active, whole, 0.0)
             available = np.where(reached, np.maximum(bonds.offered(classes, saturated), 0.0), 0.0)
             new_active, new_theta = saturation.next_active_set(
                 active, np.where(reached, y, 0.0), needed, available, saturated
@@ -142,8 +146,8 @@ class StageSolver:
     def _needed(self, y: Array, old: Array, tau: float) -> Array:
         return self.cells.free_share * ((y - old) / tau - self._flow(y))
 
-    def _solve(self, y, old, tau, bonds, active) -> tuple[int, bool]:
-        """Improve y in place on the cells that are not active."""
+    def _solve(self, y, old, tau, bonds, active, needed) -> tuple[int, bool]:
+        """Improve y in place on the cells that are not active; needed: of all cells, for y."""
         weight = np.where(active, 0.0, self.cells.free_share)
         unknown = weight > 0
         d = self.cells.scene.liquid_diffusivity
@@ -159,14 +163,13 @@ class StageSolver:
             self._key = key
 
         def add(u: Array, out: Array) -> float:
-            u = np.where(unknown, u, 0.0)
-            share = np.where(unknown, bonds.diagonal * u - bonds.through(u), 0.0)
+            share = unknown * (bonds.diagonal * u - bonds.through(u))
             out += share
-            return float((share * u).sum())
+            return float(np.vdot(share, u))
 
         self._system.extra = add
-        gain = bonds.theta * bonds.offered(bonds.classes(y), y)
-        r = np.where(unknown, gain - self._needed(y, old, tau), 0.0)
+        gain = bonds.theta * bonds.offered(bonds.value(), y)
+        r = np.where(unknown, gain - needed, 0.0)
         scale = float(np.linalg.norm(self.cells.free_share * old)) / tau + float(
             np.linalg.norm(gain)
         )

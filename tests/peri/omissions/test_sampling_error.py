@@ -66,14 +66,21 @@ def of_torus() -> tuple[Surface, np.ndarray]:
     x, w = np.polynomial.legendre.leggauss(12)
     z, v = np.meshgrid(depth, np.pi * (x + 1) / 2, indexing="ij")
     distance = radius + (thick - z) * np.cos(v)
-    turn = 0.013  # between the edges of the triangles
-    points = np.stack(
-        [distance * np.cos(turn), distance * np.sin(turn), (thick - z) * np.sin(v)], -1
-    )
     volume = 4 * np.pi * distance * (thick - z) * weight[:, None] * (np.pi * w / 2)
-    surface = torus(radius, thick)
     deep = 2 * np.pi**2 * radius * thick**2 - volume.sum()
-    return surface, true_loss(points.reshape(-1, 3), volume.ravel(), deep, surface)
+
+    def by_triangles(around: int) -> np.ndarray:
+        turn = np.pi / around  # between the edges of the triangles
+        points = np.stack(
+            [distance * np.cos(turn), distance * np.sin(turn), (thick - z) * np.sin(v)], -1
+        )
+        surface = torus(radius, thick, around, around // 2)
+        return true_loss(points.reshape(-1, 3), volume.ravel(), deep, surface)
+
+    # Points near the surface feel that triangles lie below it: 1e-3 of V_L after a week with 300
+    # around, of second order.
+    coarse, fine = by_triangles(200), by_triangles(400)
+    return torus(radius, thick), fine + (fine - coarse) / 3
 
 
 def of_box(size: tuple[float, float, float]) -> tuple[Surface, np.ndarray]:
@@ -106,12 +113,12 @@ def _place(lattice: Lattice) -> tuple:
 @pytest.mark.parametrize(
     ("body", "ratio", "low", "high", "most"),
     [
-        (of_ball, 2, 0.5, 3, 2e-3),
-        (lambda: of_box((1.6e-3, 1.2e-3, 0.22e-3)), 2, 0.5, 3, 5e-3),
-        (of_torus, 2, 0.5, 3, 2e-3),
-        (of_ball, 3, 0.5, 3, 1e-3),
-        (lambda: of_box((1e-3, 1e-3, 1e-3)), 2, 0.5, 3, 1e-3),
-        (lambda: of_box((1.6e-3, 1.2e-3, 20e-6)), 2, 0.5, 3, 1e-2),
+        (of_ball, 2, 0.7, 3, 2e-3),
+        (lambda: of_box((1.6e-3, 1.2e-3, 0.22e-3)), 2, 0.7, 4, 5e-3),
+        (of_torus, 2, 0.7, 3, 2e-3),
+        (of_ball, 3, 0.7, 3, 1e-3),
+        (lambda: of_box((1e-3, 1e-3, 1e-3)), 2, 0.7, 3, 1e-3),
+        (lambda: of_box((1.6e-3, 1.2e-3, 20e-6)), 2, 0.7, 3, 1e-2),
     ],
     ids=["ball", "plate", "torus", "ball, finer", "cube", "thin plate"],
 )
@@ -121,7 +128,8 @@ def test_estimate_over_true_error(body, ratio, low, high, most):
     error = float(np.abs(well_stirred(scene, TIMES).volume_loss / exact - 1).max())
     found = sampling_error(scene, TIMES)
     assert 1e-5 < error < most
-    # measured 0.70, 2.63, 0.53, 0.71, 1.75 and 1.33
+    # measured 0.92, 3.50, 0.90, 0.93, 1.75 and 1.33; the plate's error is small by luck, its parts
+    # half and twice as wide are off by 1.5e-3 on either side
     assert low * error < found < high * error
 
 
