@@ -18,7 +18,7 @@ STUDIES = {
     "crevice": "which seeds ignite, right and as on the printed lattice (1 min)",
     "pitting": "onset of a salt layer, and a lacy cover, by spacing and step (3 min)",
     "calibration": "searches of a fit by evaluations, and surrogates by points (2 min)",
-    "life-cycle": "where the error of the strength left comes from, and what less of it costs",
+    "life-cycle": "where the error of the strength left comes from, what less costs (4 min)",
 }
 
 

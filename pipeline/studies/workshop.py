@@ -41,7 +41,8 @@ class Pull:
     that of the quick lattice; samples: how often the edges of a cell are halved for the mean of f0
     over it (fem.quadrature.sampling_points; 1 in a run), None: f0 at the quadrature points; grip:
     length held at either end, 0: the end faces, None: the shank, as in a run (scene.holding);
-    ends: edge length at both end faces, None: as elsewhere.
+    ends: edge length at both end faces, None: as elsewhere; peak_drop: fall of the force below its
+    peak, relative, that ends the test, None: as in a run.
     """
 
     curve: str
@@ -59,6 +60,7 @@ class Pull:
     samples: int | None = 1
     grip: float | None = None
     ends: float | None = None
+    peak_drop: float | None = None
 
     def setting(self) -> tuple:
         """Everything but what is pulled."""
@@ -321,7 +323,7 @@ def pull_once(folder: Path, pull: Pull, limit: float = LIMIT_SECONDS) -> Row:
     values, test = scene.alloy(pull.alloy).material, scene.tensile
     if pull.grip is not None:
         test = replace(test, bottom_grip=pull.grip, top_grip=pull.grip)
-    test = replace(test, increment=pull.increment)
+    test = replace(test, increment=pull.increment, peak_drop=pull.peak_drop or test.peak_drop)
     with np.load(_mesh_path(folder, pull.mesh_size, pull.mesh_size_fine, pull.ends)) as mesh:
         points, cells = mesh["points"], mesh["cells"]
     with np.load(_field_path(folder, pull.field, pull.alloy, pull.immersion)) as field:

@@ -53,6 +53,18 @@ def test_a_verdict_is_what_all_readings_agree_on(shown, word):
     assert study.verdict(shown) == word
 
 
+def test_the_intact_screw_is_the_same_for_all_corrosions():
+    plan = study.plan_pulls(long=True)
+    assert {p.mesh_size for p in plan[study.WHOLE]} == {study.PUBLISHED_EDGE}
+    intact = [
+        (p.immersion, *p.setting())
+        for name, pulls in plan.items()
+        for p in pulls
+        if p.immersion == "0w" and name not in ("P2", study.WHOLE)
+    ]
+    assert len(intact) == 6 and len(set(intact)) == 2  # alloys
+
+
 def test_the_course_of_a_reading_is_over_its_own_intact_screw():
     def row(alloy: str, time: str, force: float) -> Row:
         return Row(
