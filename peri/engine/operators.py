@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import fft
+from scipy import fft, ndimage
 
 from peri.engine import kernels
 from peri.engine.influence import Stencil
@@ -115,6 +115,30 @@ class NonlocalSum:
     def crop(self, padded: np.ndarray) -> np.ndarray:
         """The lattice part of a padded array (a copy, of the lattice's shape)."""
         return np.array(padded[self.interior], order="C").reshape(self.lattice_shape)
+
+    def rows_of(self, nodes: np.ndarray, around: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        """The range of each row that holds some nodes (padded, bool), or what is in their reach."""
+        if around and not self.processes.whole:
+            return self.low, self.high  # the nodes of the other blocks are not known here
+        low, high = _row_ranges(nodes[self.interior])
+        if not around or not (high > low).any():
+            return low, high
+        size = tuple(2 * r + 1 for r in self.reach[:2])
+        most = self.shape[2]
+        low = ndimage.minimum_filter(np.where(high > low, low, most), size, mode="nearest")
+        high = ndimage.maximum_filter(high, size, mode="nearest")
+        low, high = low - self.reach[2], high + self.reach[2]
+        there = high > self.reach[2]
+        return np.where(there, low.clip(0), 0), np.where(there, high.clip(max=most), 0)
+
+    def on_rows(self, u: np.ndarray, rows: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+        """The sum within ranges of rows (rows_of), 0 elsewhere; directly, whatever the method."""
+        out, (low, high) = np.zeros(self.padded_shape), rows
+        u = self.processes.with_ghosts(u, self.window)
+        tiles = _tiles(low, high)
+        if len(tiles):
+            kernels.convolve(u, out, tiles, low, high, self.reach, *self._shells)
+        return out
 
     def __call__(self, u: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
         """The sum for a padded field; `out` must not be `u`."""

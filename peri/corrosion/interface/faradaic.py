@@ -137,41 +137,49 @@ class FaradaicExchange(Exchange):
         to_liquid = p.box(self.bonds)
         let_in = _over(to_liquid, p.box_seen_liquid)  # mean theta of the liquid that a node sees
         for _ in range(_ROUNDS):
-            demand = drawn * local * (to_liquid + p.box(p.box_metal_volume * self.open))
+            # Few nodes are emptied in a stage: only they and their bonds change in a round.
+            near = p.box.rows_of(self.open > 0, around=True)
+            demand = to_liquid + p.box.on_rows(p.box_metal_volume * self.open, near)
+            demand *= drawn * local
             short = p.box_metal & (demand > self.old_metal)
             self.on = p.box_metal.astype(float)
             self.on[short] = self.old_metal[short] / demand[short]
             if not p.processes.any(short.any()):
                 self.gained = self.open = np.zeros_like(theta)
                 break
-            inflow = drawn * p.box(p.box_metal_volume * self.on * local)
-            left = np.where(short, 1.0 - self.on, 0.0)
-            before, self.open = self.open, self._pass_on(left, inflow, let_in)
+            inflow = p.box.on_rows(p.box_metal_volume * self.on * local, p.box.rows_of(short))
+            before = self.open
+            self.open = self._pass_on(short, 1.0 - self.on[short], drawn * inflow[short], let_in)
             change = float(np.abs(self.open - before).max())
             if p.processes.largest(change) <= _TOLERANCE:
                 break
         self.demand, self.weight = demand, self.on * local
         self.emptied = short
 
-    def _pass_on(self, share: np.ndarray, inflow: np.ndarray, let_in: np.ndarray) -> np.ndarray:
+    def _pass_on(
+        self, nodes: np.ndarray, share: np.ndarray, inflow: np.ndarray, let_in: np.ndarray
+    ) -> np.ndarray:
         """Of nodes that are liquid for a share of the stage: keep some of it, pass on the rest.
 
-        inflow : what a node would receive in the whole stage, mol/m^3.  let_in : share of what it
-        passes on that the liquid takes.  Returns `open`.
+        share, inflow : of these nodes (bool), of the stage, and what each would receive in the
+        whole of it, mol/m^3.  let_in : share of what it passes on that the liquid takes, on the
+        box.  Returns `open`.
         """
         p, scene = self.p, self.p.scene
         gain = share * inflow
-        beside, renewals = self._beside, share * self._renewals
+        beside, renewals = self._beside[nodes], share * self._renewals[nodes]
         kept = np.minimum(gain, (gain + renewals * beside) / (1.0 + renewals))
         passed = gain - kept
         if scene.saturation == "complementarity":
             most = scene.saturation_concentration
             kept = np.minimum(kept, most)
             passed = np.minimum(passed, renewals * np.maximum(most - beside, 0.0))
-        self.gained = kept
-        self._sent = _over(passed, gain) * share
-        self._passed = _over(passed, p.box_seen_liquid)
-        return np.where(inflow > 0, _over(kept, inflow) + self._sent * let_in, share)
+        sent = _over(passed, gain) * share
+        opened = np.where(inflow > 0, _over(kept, inflow) + sent * let_in[nodes], share)
+        self.gained, self._sent, self._passed, out = np.zeros((4, *nodes.shape))
+        self.gained[nodes], self._sent[nodes], out[nodes] = kept, sent, opened
+        self._passed[nodes] = _over(passed, p.box_seen_liquid[nodes])
+        return out
 
     def metal_concentration(self, liquid: np.ndarray) -> np.ndarray:
         """C_i = old_i - tau k sum w c theta, at least 0; the liquid plays no part."""

@@ -162,6 +162,8 @@ class StageSolver:
         for _ in range(_MAXIMUM_ROUNDS):
             exchange.set(theta, *d.interface_rate(volume_loss, seen_liquid, lost))
             loss = d.balance.loss_of(exchange.metal_concentration(liquid))
+            if "volume_loss" not in d.scene.needs:
+                return loss  # the rate is that, whatever is lost
             excess = loss - volume_loss
             if abs(excess) <= 0.1 * _LOSS_TOLERANCE:
                 break
