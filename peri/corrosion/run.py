@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from peri.corrosion.classes.problem import CellProblem
-from peri.corrosion.nodes.problem import COLUMNS, CorrosionProblem
+from peri.corrosion.nodes.problem import COLUMNS, CorrosionProblem, MetalAlone
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.march.marching import March, TimeStepping, check_times, march
 from peri.engine.processes import ONE_PROCESS, OneProcess
@@ -48,6 +48,7 @@ def corrode(
     resume: bool = False,
     checkpoint_every: float = 30.0,
     processes: OneProcess = ONE_PROCESS,
+    alone: bool = False,
 ) -> CorrosionResult:
     """March a corrosion scene to the times asked for (engine.march.marching.march).
 
@@ -70,6 +71,8 @@ def corrode(
     processes : OneProcess or its like
         Who holds which block of the lattice (ranks.corrode gives it); progress, files
         and the result's fields are the root's.
+    alone : bool
+        March the metal alone, in liquid that stays clean (nodes.problem.MetalAlone).
 
     Raises
     ------
@@ -81,7 +84,7 @@ def corrode(
         A ValueError, for a checkpoint of another march or one that cannot be read.
     """
     stepping = stepping or TimeStepping()
-    problem = _problem(scene, stepping, solver_tolerance, processes)
+    problem = _problem(scene, stepping, solver_tolerance, processes, alone)
     done = _march_coated(
         problem,
         check_times(times),
@@ -158,13 +161,17 @@ def _problem(
     stepping: TimeStepping,
     solver_tolerance: float,
     processes: OneProcess,
+    alone: bool = False,
 ) -> CorrosionProblem | CellProblem:
     """The discrete problem of a scene: by nodes, or by rate classes where it has them."""
     classes = processes.from_root(processes.on_root(lambda: scene.exposure is not None))
     if not classes:
-        problem = CorrosionProblem(scene, solver_tolerance, processes)
+        kind = MetalAlone if alone else CorrosionProblem
+        problem = kind(scene, solver_tolerance, processes)
         _check_scheme(problem, stepping)
         return problem
+    if alone:
+        raise ValueError("alone: metal with rate classes has its liquid marched with it")
     if not processes.whole:
         raise ValueError("exposure: rate classes are computed in one process, not on ranks")
     if stepping.scheme == "forward_euler":

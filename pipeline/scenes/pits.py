@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from peri.corrosion.nodes.problem import COLUMNS
-from peri.corrosion.run import CorrosionResult, corrode
+from peri.corrosion.run import CorrosionResult
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.constants import FARADAY
 from peri.engine.lattice import box_lattice
 from peri.engine.march.marching import TimeStepping
+from peri.engine.omission import Omission
 from peri.engine.results import Field, axes_of
+from peri.omissions.activation import corrode_activated
 from pipeline.scenes.outcome import Curve, Outcome, Panel
 
 STEEL_304 = {
@@ -100,14 +102,19 @@ def march_pencil(
     charge: float,
     times: Sequence[float],
     *,
+    kept: Collection[str] = (),
     checkpoint: Path | None = None,
     resume: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> Outcome:
-    """March a pencil electrode, and when a salt layer begins to hold it back."""
-    result = corrode(
-        scene, times, stepping, checkpoint=checkpoint, resume=resume, progress=progress
-    )
+    """March a pencil electrode, and when a salt layer begins to hold it back.
+
+    kept : what is not left out (omissions.activation).
+    """
+    result, transport = corrode_activated(
+        scene, times, stepping, refused=kept, checkpoint=checkpoint, resume=resume,
+        progress=progress,
+    )  # fmt: skip
     history = result.history
     depth = front_depth(scene, history)
     moment, place = onset(scene, history)
@@ -120,7 +127,7 @@ def march_pencil(
         "depth at the end": (float(depth[-1]), "m"),
         "onset of the salt layer": (moment, "s"),
         "depth at that time": (place, "m"),
-        **closing(result),
+        **closing(result, transport),
     }
     panels = [
         Panel("Depth of the pit", "time / s", "depth / um",
@@ -132,10 +139,12 @@ def march_pencil(
     return outcome_of(result, summary, panels)
 
 
-def closing(result: CorrosionResult) -> dict[str, tuple[float, str]]:
-    """What every march of corrosion says at its end."""
+def closing(result: CorrosionResult, transport: Omission) -> dict[str, tuple[float, str]]:
+    """What every march of corrosion says at its end, and whether its liquid was left out."""
     history = result.history
+    left = (transport.bound, f"of {transport.of}")
     return {
+        **({f"left out: {transport.name}, bound": left} if transport.applied else {}),
         "share of the metal lost": (float(result.volume_loss[-1]), "1"),
         "nodes held at saturation": (float(history["saturated_nodes"][-1]), "1"),
         "balance left open, largest": (float(np.abs(history["balance_error"]).max()), "1"),

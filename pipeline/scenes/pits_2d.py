@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +12,12 @@ from peri.corrosion.kinetics import ConstantRate
 from peri.corrosion.metal.bond_damage import BondDamage
 from peri.corrosion.metal.solids import Solid
 from peri.corrosion.passivity import Repassivation, Rupture
-from peri.corrosion.run import corrode
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.constants import FARADAY
 from peri.engine.lattice import Lattice
 from peri.engine.march.marching import TimeStepping
 from peri.engine.results import Field, axes_of
+from peri.omissions.activation import corrode_activated
 from pipeline.scenes.outcome import Curve, Outcome, Panel
 from pipeline.scenes.pits import CHARGE_NUMBER, STEEL_304, closing, outcome_of
 
@@ -140,14 +140,19 @@ def march_section(
     seed: int,
     times: Sequence[float],
     *,
+    kept: Collection[str] = (),
     checkpoint: Path | None = None,
     resume: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> Outcome:
-    """March a section and say what its pit is like, with the bonds that are broken."""
-    result = corrode(
-        scene, times, stepping, checkpoint=checkpoint, resume=resume, progress=progress
-    )
+    """March a section and say what its pit is like, with the bonds that are broken.
+
+    kept : what is not left out (omissions.activation).
+    """
+    result, transport = corrode_activated(
+        scene, times, stepping, refused=kept, checkpoint=checkpoint, resume=resume,
+        progress=progress,
+    )  # fmt: skip
     lattice, history = scene.lattice, result.history
     damage = BondDamage(
         lattice, scene.horizon, scene.metal, scene.solid_concentration,
@@ -164,7 +169,7 @@ def march_section(
         "its largest width": (shapes[-1][1], "m"),
         "its width at the surface": (shapes[-1][2], "m"),
         "metal cut off by broken bonds": (float(islands), "nodes"),
-        **closing(result),
+        **closing(result, transport),
     }
     amount = history["metal_amount"]
     lost = (amount[0] - amount) / scene.solid_concentration

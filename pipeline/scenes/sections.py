@@ -5,11 +5,10 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 
-import numpy as np
-
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.march.marching import TimeStepping
 from peri.engine.omission import Omission
+from peri.omissions.activation import TRANSPORT, activation
 from pipeline.scenes.grains import grain_scene
 from pipeline.scenes.keys import COUNT, TEXT, Given, Key, positive
 from pipeline.scenes.lattices import LATTICE_KEYS, check_count, horizon_of
@@ -26,6 +25,13 @@ _COMMON: dict[str, Key] = {
     "geometry.depth": positive("length", "of the metal", "250um"),
     "damage.seed": Key(
         COUNT, "of the broken bonds, and of the grains (1)", 1, at_least=0, at_most=2**64 - 1
+    ),
+    "reduce.keep": Key(
+        TEXT,
+        "what is computed whatever its bound",
+        ["transport"],
+        allowed=(TRANSPORT,),
+        several=True,
     ),
     "time.step": positive(
         "time", "left out: that in which the flux fills a node that it has emptied", "1s"
@@ -130,7 +136,9 @@ def pit(given: Given) -> Prepared:
         depth = given.number("geometry.depth")
         check_count(given, depth / spacing)
         scene = pencil_scene(spacing, ratio, current, depth, charge, steel)
-        march = functools.partial(march_pencil, scene, _stepping(given, scene), charge)
+        march = functools.partial(
+            march_pencil, scene, _stepping(given, scene), charge, kept=_kept(given)
+        )
     else:
         size = _size(given)
         if shape == "mask":
@@ -138,9 +146,19 @@ def pit(given: Given) -> Prepared:
             scene = masked_scene(spacing, current, opening, ratio, size, charge, steel)
         else:
             scene = _film(given, spacing, ratio, current, size, charge, steel)
-        march = functools.partial(march_section, scene, _stepping(given, scene), _seed(given))
+        march = functools.partial(
+            march_section, scene, _stepping(given, scene), _seed(given), kept=_kept(given)
+        )
+    kept = _kept(given)
     given.left_over()
-    return Prepared(given.values, march, {}, _reductions(scene), _nodes(scene))
+    return Prepared(given.values, march, {}, _reductions(scene, kept), _nodes(scene))
+
+
+def _kept(given: Given) -> list[str]:
+    """What is not left out."""
+    kept = given["reduce.keep"] if "reduce.keep" in given else []
+    assert isinstance(kept, list)
+    return kept
 
 
 def _film(given: Given, spacing, ratio, current, size, charge, steel) -> CorrosionScene:
@@ -199,35 +217,25 @@ def grains(given: Given) -> Prepared:
         )
     except ValueError as error:
         raise ValueError(f"{given.file}: [grains] {error}") from None
-    march = functools.partial(march_section, scene, _stepping(given, scene), _seed(given))
+    kept = _kept(given)
+    march = functools.partial(
+        march_section, scene, _stepping(given, scene), _seed(given), kept=kept
+    )
     given.left_over()
-    return Prepared(given.values, march, {}, _reductions(scene), _nodes(scene))
+    return Prepared(given.values, march, {}, _reductions(scene, kept), _nodes(scene))
 
 
-def _reductions(scene: CorrosionScene) -> Callable[[float], list[Omission]]:
-    """What a pit's march has no unknowns for, and whether its salt layer can matter."""
+def _reductions(scene: CorrosionScene, kept: list[str]) -> Callable[[float], list[Omission]]:
+    """What a pit's march has no unknowns for, and whether it needs the liquid."""
 
     def found(end: float) -> list[Omission]:
-        flux, solid = scene.dissolution_flux, scene.solid_concentration
-        assert flux is not None
-        along = scene.lattice.axis(scene.lattice.dimension - 1)
-        thick = float(np.ptp(along)) + scene.lattice.spacing[-1]
-        depth = min(flux * end / solid, thick)
-        layer = 2.0 * float(np.max(scene.horizon))
-        most = scene.saturation_concentration
-        share = flux * (depth + layer) / (scene.liquid_diffusivity * most)
         exact = [
             ("metal", "a node of metal keeps what it holds until the front reaches it"),
             ("saturated liquid", "a node under a salt layer has C_sat, which is no unknown"),
             ("passive metal", "its current follows from the liquid that it sees"),
         ]
         omissions = [Omission(name, why, 0.0, True, "what is lost") for name, why in exact]
-        if share < 1:
-            text = f"C stays below {share:.2g} C_sat (flux x depth / D): no salt layer comes up"
-        else:
-            text = f"flux x depth / D is {share:.2g} C_sat: diffusion holds the metal back"
-        reason = f"{text}; the liquid is marched with the front"
-        return [*omissions, Omission("transport", reason, np.inf, False)]
+        return [*omissions, activation(scene, end, refused=kept)]
 
     return found
 

@@ -94,6 +94,10 @@ class BiMaterial(InterfaceRates):
         """
         return self._solver.solve(old, tau, guess, theta, volume_loss)
 
+    def stage_alone(self, old: np.ndarray, tau: float, volume_loss: float) -> Stage:
+        """The same for the metal alone, in liquid that stays clean."""
+        return self._solver.alone(old, tau, volume_loss)
+
     def explicit_step(
         self, old: np.ndarray, step: float, volume_loss: float
     ) -> tuple[np.ndarray, float, np.ndarray | None]:

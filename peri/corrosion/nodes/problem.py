@@ -267,3 +267,40 @@ class CorrosionProblem(FirstOrder):
     def change(self, attempt: Attempt) -> float:
         """Relative change of the metal's loss rate in a step, as the law measures it."""
         return self.scene.dissolution.change(self.discrete, attempt)
+
+
+class MetalAlone(CorrosionProblem):
+    """A corrosion scene whose liquid stays clean: what its metal loses is released at once.
+
+    For metal that dissolves by Faraday's law where neither a salt layer nor a law of the rate looks
+    at the liquid (omissions.activation).  Parameters as CorrosionProblem.
+
+    Raises
+    ------
+    ValueError
+        For bonds that follow their metal's content, and liquid that holds something at the start.
+    """
+
+    def __init__(
+        self,
+        scene: CorrosionScene,
+        solver_tolerance: float = 1e-9,
+        processes: OneProcess = ONE_PROCESS,
+    ) -> None:
+        if scene.dissolution.name != "faradaic" or scene.saturation != "none":
+            raise ValueError(
+                "dissolution: metal is marched alone by Faraday's law without saturation only"
+            )
+        if scene.liquid is not None and scene.liquid.any():
+            raise ValueError("liquid: metal is marched alone in clean liquid only")
+        super().__init__(scene, solver_tolerance, processes)
+
+    def key(self) -> str:
+        """Hash of the scene, and of what is left out."""
+        return fingerprint(self._whole_scene, self.discrete.tolerance, "alone")
+
+    def stage(self, old: Fields, tau: float, guess: State) -> Stage:
+        """See StageSolver.alone."""
+        self._surround(guess)
+        loss = guess.numbers["volume_loss"]
+        return self._stage(self.discrete.stage_alone(old["concentration"], tau, loss))

@@ -140,6 +140,24 @@ class StageSolver:
             exchange.switch(),
         )  # fmt: skip
 
+    def alone(self, old: np.ndarray, tau: float, volume_loss: float) -> Stage:
+        """The metal's stage in liquid that stays clean: all that the metal loses is released."""
+        d = self.d
+        if d.box is None:
+            return Stage(np.zeros_like(old), None, 0.0, 0.0, 0, 1)
+        exchange = d.scene.dissolution.exchange(d, old, tau)
+        clean = np.zeros_like(exchange.old_metal)
+        on = (d.box_liquid_volume > 0).astype(float)
+        known, gone = d.seen_liquid(clean), d.lost(exchange.old_metal)
+        loss = self._settle_rate(exchange, on, volume_loss, clean, known, gone)
+        metal = exchange.metal_concentration(clean)
+        lost = ((exchange.old_metal - metal) * d.box_metal_volume)[d.box_metal].sum()
+        release = d.processes.total(float(lost)) * d.scene.lattice.cell_volume / tau
+        result = np.zeros_like(old)
+        result[d.window][d.box_metal[d.box.interior]] = metal[d.box_metal]
+        emptied = None if exchange.emptied is None else d.put(exchange.emptied) > 0
+        return Stage(result, None, loss, release, 0, 1, emptied, exchange.late())
+
     # --- kinetics -------------------------------------------------------------------------
 
     def _settle_rate(

@@ -281,6 +281,22 @@ def test_mirror_nodes_are_an_option_of_galvanic_scenes(tmp_path, capsys):
     refused(capsys, [*run, str(tmp_path / "two")], "'potential' is not known")
 
 
+def test_liquid_far_below_saturation_is_left_out(tmp_path, capsys):
+    scene = ["scenes", "intergranular", "--spacing", "4um", "--times", "0s", "10min", "--quiet"]
+    assert main([*scene, "--out", str(tmp_path / "run")]) == 0
+    printed = capsys.readouterr().out
+    assert "left out: transport, bound" in printed and "0 of what is lost" in printed
+    file, run = tmp_path / "own.toml", tmp_path / "two"
+    text = changed("intergranular", ("spacing", '"4um"'), ("immersion", '["0s", "10min"]'))
+    file.write_text(text + '[reduce]\nkeep = ["transport"]\n')
+    assert main(["run", str(file), "--quiet", "--out", str(run)]) == 0
+    kept = capsys.readouterr().out
+    assert "left out" not in kept
+    share = "share of the metal lost"
+    lost = [next(line for line in text.splitlines() if share in line) for text in (printed, kept)]
+    assert lost[0] == lost[1]
+
+
 def test_what_belongs_to_another_command_is_refused(tmp_path, capsys):
     file = tmp_path / "own.toml"
     file.write_text(OWN)
