@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from peri.corrosion.metal.salt_film import SaltFilm
 from peri.corrosion.nodes.problem import COLUMNS
 from peri.corrosion.run import CorrosionResult
 from peri.corrosion.scene import CorrosionScene
@@ -103,13 +104,14 @@ def march_pencil(
     times: Sequence[float],
     *,
     kept: Collection[str] = (),
+    salt: SaltFilm | None = None,
     checkpoint: Path | None = None,
     resume: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> Outcome:
     """March a pencil electrode, and when a salt layer begins to hold it back.
 
-    kept : what is not left out (omissions.activation).
+    kept : what is not left out (omissions.activation).  salt : the film that the current has.
     """
     result, transport = corrode_activated(
         scene, times, stepping, refused=kept, checkpoint=checkpoint, resume=resume,
@@ -136,6 +138,19 @@ def march_pencil(
               [Curve("pit", *mean_current(scene, history, charge))]),
         Panel("Metal ions in the pit", "from the mouth / um", "C / (mol/m³)", profiles),
     ]  # fmt: skip
+    if salt is not None:
+        bare = charge * FARADAY * (scene.dissolution_flux or 0.0)
+        when, current = mean_current(scene, history, charge)
+        held = (when > moment) & (current < bare)
+        thick = np.where(held, salt.thickness(np.where(held, current, bare), bare), 0.0)
+        panels.append(
+            Panel("Salt film", "time / s", "thickness / um", [Curve("film", when, 1e6 * thick)])
+        )
+        if held.any():
+            last = current[held][-1]
+            summary["thickness of the salt film at the end"] = (float(thick[held][-1]), "m")
+            summary["potential over the salt film"] = (float(salt.drop(last, bare)), "V")
+            summary["the film follows its current within"] = (float(salt.settling(last, bare)), "s")
     return outcome_of(result, summary, panels)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 
+from peri.corrosion.metal.salt_film import SaltFilm
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.march.marching import TimeStepping
 from peri.engine.omission import Omission
@@ -42,6 +43,11 @@ PIT_KEYS: dict[str, Key] = {
     "metal.solid_concentration": positive("concentration", "C_solid", "142900 mol/m^3"),
     "metal.charge_number": positive("dimensionless", "z of its ions", 2.19),
     "metal.current_density": positive("current density", "of bare metal", "5100 A/m^2"),
+    "salt.conductivity": positive(
+        "conductivity", "of the salt film in a pencil; left out: no film is stated", "0.01 S/m"
+    ),
+    "salt.tafel_slope": positive("electric potential", "of the metal below it, per decade", "0.1V"),
+    "salt.molar_volume": positive("molar volume", "of the salt per mol of metal", "1e-4 m^3/mol"),
     "geometry.shape": Key(
         TEXT,
         "pencil: a wire in resin; mask: a sheet below an opening; film: a passive sheet with an "
@@ -137,8 +143,9 @@ def pit(given: Given) -> Prepared:
         check_count(given, depth / spacing)
         scene = pencil_scene(spacing, ratio, current, depth, charge, steel)
         march = functools.partial(
-            march_pencil, scene, _stepping(given, scene), charge, kept=_kept(given)
-        )
+            march_pencil, scene, _stepping(given, scene), charge, kept=_kept(given),
+            salt=_salt(given, charge),
+        )  # fmt: skip
     else:
         size = _size(given)
         if shape == "mask":
@@ -152,6 +159,14 @@ def pit(given: Given) -> Prepared:
     kept = _kept(given)
     given.left_over()
     return Prepared(given.values, march, {}, _reductions(scene, kept), _nodes(scene))
+
+
+def _salt(given: Given, charge: float) -> SaltFilm | None:
+    """The ohmic film of salt that a file describes."""
+    if "salt.conductivity" not in given:
+        return None
+    slope, volume = given.number("salt.tafel_slope"), given.number("salt.molar_volume")
+    return SaltFilm(given.number("salt.conductivity"), slope, charge, volume)
 
 
 def _kept(given: Given) -> list[str]:

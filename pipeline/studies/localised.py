@@ -16,7 +16,7 @@ from peri.corrosion.scene import CorrosionScene
 from peri.coupled.galvanic import ROBIN, GalvanicScene, Renewal, corrode
 from peri.engine.march.marching import TimeStepping, march
 from peri.omissions.thin_gap import ThinGapProblem
-from pipeline.scenes import crevices, pits, pits_2d
+from pipeline.scenes import crevice_lattice, crevices, pits, pits_2d
 from pipeline.scenes.couples import ae44_scene
 from pipeline.studies.rates import table_line
 
@@ -160,6 +160,7 @@ def print_crevice() -> None:
             name = "as published" if published else "right"
             cells = [name, f"{charge:g}", f"{1e3 * seed:.3f}", row[4], row[6]]
             print(table_line(cells), flush=True)
+    print_crevice_lattices()
     columns = [
         "seed [mm]", "", "active site, 4 h [mm]", "24 h", "30 h", "72 h", "deepest [um]",
         "lost [um mm]", "s",
@@ -177,6 +178,30 @@ def print_crevice() -> None:
         "\nPublished: about 0.5 mm is the shortest seed that ignites; the active site moves to the"
         "\nmouth and stops after about 30 h."
     )
+
+
+def print_crevice_lattices() -> None:
+    """The crevice on lattices beside the film equation, and where that goes as these get finer."""
+    print(
+        "\nOn a lattice, 25 um along: 6 mm to the closed end, seed 3 mm, 12 h; apart from the film."
+    )
+    _head(["across [um]", "m", "area lost [%]", "its limit [%]", "active site [%]", "steps", "s"])
+    for ratio in (2, 4):
+        before = None
+        for across in (1.0, 0.5):
+            scene = crevice_lattice.crevice_on_lattice(
+                3e-3, (25e-6, across * 1e-6), ratio, length=6e-3
+            )
+            times = [6 * HOUR, 12 * HOUR]
+            found, seconds = _timed(lambda s=scene, t=times: crevice_lattice.compare(s, t))
+            areas = [float(found.lost(depth)[-1]) for depth in (found.lattice, found.film)]
+            sites = [found.site(depth) for depth in (found.lattice, found.film)]
+            lost, site = (100 * (a[0] / a[1] - 1) for a in (areas, sites))
+            limit = "" if before is None else f"{2 * lost - before:+.2f}"
+            steps = str(found.result.history["time"].size - 1)
+            row = [f"{across:g}", str(ratio), f"{lost:+.2f}", limit, f"{site:+.2f}", steps]
+            print(table_line([*row, f"{seconds:.1f}"]), flush=True)
+            before = lost
 
 
 # --- pits -----------------------------------------------------------------------------------

@@ -211,6 +211,16 @@ OF_OTHER_KINDS = [
     ("pit-lacy", ("passive_share", "1.0"), ["passive_share is 1", "below 1"]),
     ("pit-lacy", ("rupture", "0.99"), ["film.rupture is 0.99", "at most 0.98"]),
     ("pit-lacy", ("rupture", ""), ["film.rupture_width is given", "no use for it"]),
+    (
+        "pit-304",
+        ("step", '"1s"\n[salt]\nconductivity = "0.01 S/m"'),
+        ["salt.conductivity is given", "no use for it"],
+    ),
+    (
+        "pit-pencil",
+        ("current_density", '"5100 A/m^2"\n[salt]\nconductivity = "0.01 S/m"'),
+        ["salt.tafel_slope is missing"],
+    ),
     ("pit-304", ("charge_number", ""), ["metal.charge_number is missing"]),
     ("pit-304", ("saturation_concentration", "2e5"), ["must be below metal.solid_concentration"]),
     ("pit-304", ("opening", ""), ["geometry.opening is missing"]),
