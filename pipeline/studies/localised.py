@@ -182,9 +182,7 @@ def print_crevice() -> None:
 
 def print_crevice_lattices() -> None:
     """The crevice on lattices beside the film equation, and where that goes as these get finer."""
-    print(
-        "\nOn a lattice, 25 um along: 6 mm to the closed end, seed 3 mm, 12 h; apart from the film."
-    )
+    print("\nOn a lattice, 25 um along: 6 mm to the closed end, seed 3 mm, 12 h; against the film.")
     _head(["across [um]", "m", "area lost [%]", "its limit [%]", "active site [%]", "steps", "s"])
     for ratio in (2, 4):
         before = None
