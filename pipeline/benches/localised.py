@@ -24,7 +24,7 @@ from pipeline.scenes.crevices import (
     PUBLISHED_DIFFUSIVITY_FACTOR,
     crevice_625,
 )
-from pipeline.scenes.pits_2d import lacy_metal
+from pipeline.scenes.pits_2d import RUPTURE, lacy_metal
 
 HORIZON_RATIO = 4
 
@@ -228,4 +228,4 @@ def lacy_sheet(shape: tuple[int, int, int], spacing: float = 2.5e-6) -> Corrosio
     top = spacing * (shape[2] - 4.5)
     metal = np.ascontiguousarray(np.broadcast_to(z < top, shape))
     away = (x - middle[0]) ** 2 + (y - middle[1]) ** 2 + (z - top) ** 2
-    return lacy_metal(lattice, metal, metal & (away < (20e-6) ** 2), 2 * spacing)
+    return lacy_metal(lattice, metal, metal & (away < (20e-6) ** 2), 2 * spacing, rupture=RUPTURE)

@@ -21,6 +21,9 @@ from peri.omissions.activation import corrode_activated
 from pipeline.scenes.outcome import Curve, Outcome, Panel
 from pipeline.scenes.pits import CHARGE_NUMBER, STEEL_304, closing, outcome_of
 
+RUPTURE = (0.15, 0.02)
+"""Share of its metal with which a node loses its film, and over what further share (assumed)."""
+
 
 def section(width: float, depth: float, liquid: float, spacing: float) -> Lattice:
     """x along the sheet, from its middle; y up from its surface; m."""
@@ -65,7 +68,7 @@ def lacy_scene(
     passive: float = 1e-3,
     ratio: float = 2,
     size: tuple[float, float] = (300e-6, 80e-6),
-    rupture: tuple[float, float] | None = (0.15, 0.02),
+    rupture: tuple[float, float] | None = RUPTURE,
     **metal: Any,
 ) -> CorrosionScene:
     """Steel that is passive below a critical concentration, with a nucleus that is active.

@@ -239,7 +239,7 @@ def print_pitting() -> None:
         print(table_line([f"{step:g}", f"{critical:g}", f"{passive:g}", *row]), flush=True)
     print("\nThe same with a film that breaks where a node has lost a share of its metal, 83 s.")
     _head(["step [s]", "breaks at", "depth [um]", "width", "surface", "lost [%]", "s"])
-    for step, rupture in ((0.2, None), (0.2, (0.15, 0.02)), (0.1, (0.15, 0.02))):
+    for step, rupture in ((0.2, None), (0.2, pits_2d.RUPTURE), (0.1, pits_2d.RUPTURE)):
         row = _lacy_row(pits_2d.lacy_scene(2.5e-6, rupture=rupture), step, 83.0)
         share = "never" if rupture is None else f"{rupture[0]:g}"
         print(table_line([f"{step:g}", share, *row]), flush=True)
