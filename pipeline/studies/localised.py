@@ -12,6 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from peri.corrosion.run import corrode as corrode_pit
 from peri.corrosion.scene import CorrosionScene
 from peri.coupled.galvanic import ROBIN, GalvanicScene, Renewal, corrode
 from peri.engine.march.marching import TimeStepping, march
@@ -216,7 +217,7 @@ def print_pitting() -> None:
     ):  # fmt: skip
         scene = pits.pencil_scene(spacing, ratio, depth=260e-6)
         stepping = TimeStepping(step=share * pits.unfilled_step(scene))
-        done, seconds = _timed(lambda s=scene, t=stepping: pits.corrode(s, [1200.0], t))
+        done, seconds = _timed(lambda s=scene, t=stepping: corrode_pit(s, [1200.0], t))
         moment, depth = pits.onset(scene, done.history)
         found = "none" if math.isinf(moment) else f"{100 * (moment / SALT_ONSET - 1):+.2f}"
         print(
@@ -247,7 +248,7 @@ def print_pitting() -> None:
 
 def _lacy_row(scene: CorrosionScene, step: float, end: float) -> list[str]:
     """Depth, width and opening of a pit (um), what is lost (%), processor time (s)."""
-    done, seconds = _timed(lambda: pits.corrode(scene, [end], TimeStepping(step=step)))
+    done, seconds = _timed(lambda: corrode_pit(scene, [end], TimeStepping(step=step)))
     sizes = pits_2d.shape_of(scene, done.metal[-1])
     lost = 100 * float(done.volume_loss[-1])
     return [*(f"{1e6 * v:.1f}" for v in sizes), f"{lost:.2f}", f"{seconds:.1f}"]

@@ -7,6 +7,8 @@ import h5py
 import numpy as np
 import pytest
 
+from peri.corrosion.run import corrode
+from peri.engine.march.marching import TimeStepping
 from pipeline.cli import main
 from pipeline.scenes import grains, pits, pits_2d
 from pipeline.scenes.files import read_scene
@@ -71,14 +73,14 @@ def test_pencil_converges_to_the_exact_onset():
     for spacing in (20e-6, 10e-6):
         scene = pits.pencil_scene(spacing, depth=260e-6)
         step = pits.unfilled_step(scene)
-        result = pits.corrode(scene, [1200.0], pits.TimeStepping(step=step))
+        result = corrode(scene, [1200.0], TimeStepping(step=step))
         found.append(pits.onset(scene, result.history))
         assert np.abs(result.history["balance_error"]).max() < 1e-12
     # measured 3.9 and 1.0 % late (0.74 and 0.35 % at 5 and 2.5 um)
     assert [t / 1002.349 - 1 for t, _ in found] == pytest.approx([0.039, 0.010], abs=0.01)
     assert found[1][1] == pytest.approx(169.298e-6, rel=0.02)
     scaled = pits.pencil_scene(10e-6 / 100, current=5.1e5, depth=2.6e-6)
-    result = pits.corrode(scaled, [0.12], pits.TimeStepping(step=pits.unfilled_step(scaled)))
+    result = corrode(scaled, [0.12], TimeStepping(step=pits.unfilled_step(scaled)))
     time, depth = pits.onset(scaled, result.history)
     assert time == pytest.approx(1e-4 * found[1][0], rel=1e-6)
     assert depth == pytest.approx(1e-2 * found[1][1], rel=1e-6)
@@ -129,7 +131,7 @@ def test_a_pit_grows_under_its_lacy_cover():
     lost = []
     for step in (0.2, 0.1, 0.05):
         scene = pits_2d.lacy_scene(2.5e-6)
-        result = pits.corrode(scene, [40.0], pits.TimeStepping(step=step))
+        result = corrode(scene, [40.0], TimeStepping(step=step))
         assert np.abs(result.history["balance_error"]).max() < 1e-12
         depth, width, mouth = pits_2d.shape_of(scene, result.metal[-1])
         lost.append(float(result.volume_loss[-1]))
@@ -144,7 +146,7 @@ def test_a_long_step_breaks_no_film():
     edges = []
     for step in (0.1, 0.2):
         scene = pits_2d.lacy_scene(5e-6, size=(100e-6, 30e-6), rupture=(0.1, 0.05))
-        result = pits.corrode(scene, [8.0], pits.TimeStepping(step=step))
+        result = corrode(scene, [8.0], TimeStepping(step=step))
         kept = result.metal[-1] & (scene.phase == 1)
         assert pits_2d.shape_of(scene, result.metal[-1])[2] == pytest.approx(40e-6)
         surface = int(np.flatnonzero(scene.metal.any(axis=0))[-1])
@@ -157,7 +159,7 @@ def test_a_long_step_breaks_no_film():
 @pytest.mark.slow
 def test_boundaries_are_attacked_deeper_than_grains(tmp_path):
     scene = grains.grain_scene(2e-6)
-    result = pits.corrode(scene, [3600.0, 5 * 3600.0], pits.TimeStepping(step=40.0))
+    result = corrode(scene, [3600.0, 5 * 3600.0], TimeStepping(step=40.0))
     boundary, grain = scene.phase == 2, scene.phase == 1
     gone = scene.metal & ~result.metal[-1]
     flux = grains.CURRENT / (grains.CHARGE_NUMBER * grains.FARADAY)
