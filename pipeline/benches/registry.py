@@ -225,6 +225,12 @@ BENCHMARKS: dict[str, Benchmark] = {
         bench_ions.nnpp,
         bench_ions.small_nnpp,
     ),
+    "nnpp-steps": Benchmark(
+        "the steps of 'nnpp' alone: without minerals and potential, with minerals, with both "
+        "(2 minutes)",
+        bench_ions.nnpp_steps,
+        bench_ions.small_nnpp_steps,
+    ),
     "nnpp-saline": Benchmark(
         "ions of 1 M NaCl in the published domain, 26 days (10 minutes)",
         bench_ions.saline,

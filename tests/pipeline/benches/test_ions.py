@@ -35,3 +35,10 @@ def test_the_small_saline_benchmark_is_neutral_and_conservative() -> None:
     assert results["balance of the worst component"] <= 1e-10
     assert 0 < results["volume loss"] < 0.1 and results["highest pH"] > 8
     assert results["26 days in such steps, from those measured"] > 0
+
+
+@pytest.mark.slow
+def test_the_steps_alone_can_be_had() -> None:
+    results = {r.quantity: r.value for r in BENCHMARKS["nnpp-steps"].small()}
+    steps = [value for name, value in results.items() if name.endswith("median step of 3 h")]
+    assert len(steps) == 3 and 0 < sum(steps) < results["all of these steps"]
