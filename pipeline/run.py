@@ -59,15 +59,9 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def scene_of(options: argparse.Namespace) -> Scene:
-    """The scene as the options say it, a spacing of `auto` not yet chosen.
-
-    A march on ranks has one rate per node, unless rate classes are asked for.
-    """
+    """The scene as the options say it, a spacing of `auto` not yet chosen."""
     from pipeline.scene.command.options import scene_from_options
 
-    on_ranks = getattr(options, "ranks", 1) != 1
-    if on_ranks and options.classes is None and options.scene is None:
-        options = argparse.Namespace(**{**vars(options), "classes": "0"})
     return scene_from_options(options)
 
 

@@ -91,7 +91,7 @@ BELOW = {
         "phases": {"blocks", "scene"},
         "interface": {"laws", "metal", "phases", "scene"},
         "nodes": {"interface", "kinetics", "metal", "phases", "scene"},
-        "classes": {"interface", "kinetics", "nodes", "scene"},
+        "classes": {"blocks", "interface", "kinetics", "nodes", "scene"},
         "run": {"classes", "nodes", "scene"},
         "ranks": {"run", "scene"},
         "results": {"nodes", "run"},

@@ -11,7 +11,7 @@ import numpy as np
 from peri.corrosion.blocks import block_scene
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.operators import NonlocalSum
-from peri.engine.processes import ONE_PROCESS, OneProcess
+from peri.engine.processes import ONE_PROCESS, OneProcess, box_in_reach
 from peri.engine.walls import Walls
 
 
@@ -71,30 +71,21 @@ class Phases:
     def _make_box(self) -> None:
         """The part of the lattice within reach of the initial metal, with its own arrays."""
         interior = self.metal[self.sum.interior]
-        largest = self.processes.largest
-        window = []
-        for a, (reach, start) in enumerate(zip(self.sum.reach, self.processes.start, strict=True)):
-            present = np.flatnonzero(interior.any(axis=tuple(b for b in range(3) if b != a)))
-            first = -largest(-(present[0] + start) if present.size else -np.inf)
-            last = largest(present[-1] + start if present.size else -np.inf)
-            if first > last:
-                self.box = None
-                return
-            # A block that lies off the metal takes part with one layer of nodes.
-            n = interior.shape[a]
-            low = min(max(0, int(first) - reach - start), n - 1)
-            window.append(slice(low, max(low + 1, min(n, int(last) + reach + 1 - start))))
+        window = box_in_reach(interior, self.sum.reach, self.processes)
+        if window is None:
+            self.box = None
+            return
         padded = [
             slice(w.start + r, w.stop + r) for w, r in zip(window, self.sum.reach, strict=True)
         ]
         self.window = tuple(padded)
         shape = tuple(w.stop - w.start for w in window)[3 - self.sum.stencil.dimension :]
         self.box = NonlocalSum(
-            self.scene.interface_stencil, shape, processes=self.processes, window=tuple(window)
+            self.scene.interface_stencil, shape, processes=self.processes, window=window
         )
         # Like `sum`, but on the rows of the box only.
         rows = np.zeros(self.sum.shape, bool)
-        rows[tuple(window)] = True
+        rows[window] = True
         rows = rows.reshape(self.sum.lattice_shape)
         self.near = NonlocalSum(self.sum.stencil, rows.shape, rows, processes=self.processes)
 

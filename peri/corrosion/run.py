@@ -172,11 +172,9 @@ def _problem(
         return problem
     if alone:
         raise ValueError("alone: metal with rate classes has its liquid marched with it")
-    if not processes.whole:
-        raise ValueError("exposure: rate classes are computed in one process, not on ranks")
     if stepping.scheme == "forward_euler":
         raise ValueError("scheme: 'forward_euler' with rate classes; use backward_euler or sdirk2")
-    return CellProblem(scene, solver_tolerance)
+    return CellProblem(scene, solver_tolerance, processes)
 
 
 def _check_scheme(problem: CorrosionProblem, stepping: TimeStepping) -> None:

@@ -80,6 +80,27 @@ class OneProcess:
 ONE_PROCESS = OneProcess()
 
 
+def box_in_reach(
+    cells: np.ndarray, reach: tuple[int, ...], processes: OneProcess
+) -> tuple[slice, ...] | None:
+    """This process's part of the box within reach of the marked cells of all processes.
+
+    cells : (nx, ny, nz) bool, of the block.  A block that lies off the box takes part with one
+    layer of nodes.  None where no process has marked cells.
+    """
+    window, largest = [], processes.largest
+    for a, (width, start) in enumerate(zip(reach, processes.start, strict=True)):
+        present = np.flatnonzero(cells.any(axis=tuple(b for b in range(3) if b != a)))
+        first = -largest(-(present[0] + start) if present.size else -np.inf)
+        last = largest(present[-1] + start if present.size else -np.inf)
+        if first > last:
+            return None
+        n = cells.shape[a]
+        low = min(max(0, int(first) - width - start), n - 1)
+        window.append(slice(low, max(low + 1, min(n, int(last) + width + 1 - start))))
+    return tuple(window)
+
+
 def work_per_plane(domain: np.ndarray) -> list[np.ndarray]:
     """Nodes per plane along every axis; empty ones count a little (they are still swept over)."""
     axes = range(domain.ndim)

@@ -26,7 +26,7 @@ def one_rate_because(scene: Scene) -> str:
     """Why the nodes of a scene have one rate each; "" for a scene with rate classes."""
     if scene.corrosion.classes:
         return ""
-    return _obstacle(scene) or "as --classes 0 asks, or --ranks, whose march knows no classes"
+    return _obstacle(scene) or "as --classes 0 asks"
 
 
 def with_classes(scene: Scene) -> Scene:

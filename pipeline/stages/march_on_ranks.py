@@ -33,16 +33,10 @@ class MarchError(RuntimeError):
 
 def check_ranks(scene: Scene, ranks: int) -> None:
     """Refuse what is computed in one process only; SceneError with one sentence."""
-    if ranks == 1:
-        return
-    for name, given in (
-        ("--classes", scene.corrosion.classes or None),
-        ("--model nnpp", scene.ions),
-    ):
-        if given is not None:
-            raise SceneError(
-                f"--ranks is {ranks}; with {name} it must be 1, one process computes it"
-            )
+    if ranks != 1 and scene.ions is not None:
+        raise SceneError(
+            f"--ranks is {ranks}; with --model nnpp it must be 1, one process computes it"
+        )
 
 
 def corrode_on_ranks(

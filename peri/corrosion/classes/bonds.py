@@ -154,7 +154,9 @@ class ProportionalBonds(Bonds):
         cells = self.cells
         decay = 1.0 / self.tau + self.rate * self.seen
         self.response = np.divide(1.0, decay, out=np.zeros_like(decay), where=decay > 0)
-        self.storage_share = float(np.mean(self.response)) / self.tau
+        total = cells.processes.total
+        responses = total(float(self.response.sum())), total(self.response.size)
+        self.storage_share = responses[0] / responses[1] / self.tau
         self.pulled = self.pull()
         self.diagonal = self.rate * self.theta * cells.free_share * self.pulled
         self._passed_on = cells.volume * self.response * (self.rate * self.mu) ** 2

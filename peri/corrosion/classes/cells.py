@@ -5,14 +5,20 @@ from __future__ import annotations
 from peri.corrosion.classes.stage import Array, CellStage, StageSolver
 from peri.corrosion.classes.volumes import Volumes
 from peri.corrosion.scene import CorrosionScene
+from peri.engine.processes import ONE_PROCESS, OneProcess
 
 
 class Cells(Volumes):
     """Volumes with the implicit stage that moves them on; parameters as there."""
 
-    def __init__(self, scene: CorrosionScene, tolerance: float = 1e-9) -> None:
+    def __init__(
+        self,
+        scene: CorrosionScene | None,
+        tolerance: float = 1e-9,
+        processes: OneProcess = ONE_PROCESS,
+    ) -> None:
         self._solver = StageSolver(self)
-        super().__init__(scene, tolerance)
+        super().__init__(scene, tolerance, processes)
 
     def set_volumes(self, volume: Array, ahead: Array | None = None) -> None:
         """See Volumes.set_volumes."""

@@ -21,6 +21,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from peri.engine.processes import ONE_PROCESS, OneProcess
 from peri.engine.surface.flat_front import FlatFront
 from peri.engine.surface.rate_classes import RateClasses
 
@@ -39,16 +40,24 @@ class Columns:
     height : float
         Of a cell, in horizons.
     front : FlatFront
+    processes : OneProcess or its like
+        Who holds the classes of other blocks of the lattice.
 
     cell, volume, exposure : (n,) as in RateClasses, ascending by cell and from the surface down;
     deep metal, which has one class there, has as many equal ones as other cells.
     first : (r,) cell of each column.  row, place : (n,) column and place of each class.
     """
 
-    def __init__(self, metal: RateClasses, height: float, front: FlatFront) -> None:
+    def __init__(
+        self,
+        metal: RateClasses,
+        height: float,
+        front: FlatFront,
+        processes: OneProcess = ONE_PROCESS,
+    ) -> None:
         self.height, self.front = height, front
         _, which, count = np.unique(metal.cell, return_inverse=True, return_counts=True)
-        most = int(count.max(initial=1))
+        most = int(processes.largest(int(count.max(initial=1))))
         parts = np.where((count[which] == 1) & (metal.exposure == 0), most, 1)
         cell, volume = np.repeat(metal.cell, parts), np.repeat(metal.volume / parts, parts)
         exposure = np.repeat(metal.exposure, parts)
@@ -66,7 +75,7 @@ class Columns:
 
     def total(self, values: Array) -> Array:
         """(r,): sums over the columns."""
-        return np.bincount(self.row, values, self.first.size)
+        return np.bincount(self.row, values, self.first.size).astype(float)
 
     def thinned(self, volume: Array, life: Array) -> Array:
         """Volumes (n,) that are left of classes with `volume` and the life y (both n,)."""

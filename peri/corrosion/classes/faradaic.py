@@ -73,17 +73,18 @@ class FaradaicBonds(Bonds):
     def _given(self, demand: Array) -> Array:
         """What each class gives, mol/m^3, if each should give `demand` and none what it lacks."""
         cells, columns = self.cells, self.cells.columns
+        total, anywhere = cells.processes.total, cells.processes.any
         volume, old = cells.volume, self.old
         given = np.minimum(demand, old)
         over = columns.total(volume * (demand - given))
-        least = _NOTHING * float(volume @ old)
+        least = _NOTHING * total(float(volume @ old))
         for _ in range(_ROUNDS):
-            if over.sum() <= least:
+            if total(float(over.sum())) <= least:
                 break
             room = volume * (old - given)
             pull = np.where(room > _NOTHING * volume * old, volume * demand, 0.0)
             in_cell = columns.total(pull)
-            if not in_cell.any():
+            if not anywhere(in_cell.any()):
                 break  # all the metal that sees liquid is used up
             whole = in_cell[columns.row]
             share = np.divide(pull, whole, out=np.zeros_like(pull), where=whole > 0)
@@ -91,7 +92,7 @@ class FaradaicBonds(Bonds):
             given = given + np.divide(taken, volume, out=np.zeros_like(taken), where=volume > 0)
             over = over - columns.total(taken)
             stuck = np.where(in_cell > 0, 0.0, over)
-            if stuck.any():
+            if anywhere(stuck.any()):
                 over = np.maximum(over + self._around(stuck, in_cell) - stuck, 0.0)
         return np.minimum(given, old)
 
@@ -99,7 +100,7 @@ class FaradaicBonds(Bonds):
         """Amounts of the columns, handed to those around in proportion to their pull."""
         cells = self.cells
         shape, place = cells.sum.padded_shape, cells.place
-        pull = pull / pull.max()
+        pull = pull / cells.processes.largest(float(pull.max(initial=0.0)))
         field = np.zeros(shape)
         field.ravel()[place] = pull
         reached = cells.near(field).ravel()[place]

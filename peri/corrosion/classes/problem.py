@@ -8,11 +8,13 @@ import numpy as np
 
 from peri.corrosion.classes.cells import Cells
 from peri.corrosion.classes.laws import CLASS_BONDS
+from peri.corrosion.classes.whole import WholeClasses
 from peri.corrosion.nodes.problem import COLUMNS
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.march.checkpoints import fingerprint
 from peri.engine.march.problem import Attempt, Fields, FirstOrder, Stage, State
 from peri.engine.march.stepping import GAMMA
+from peri.engine.processes import ONE_PROCESS, OneProcess
 
 _LATE = 1.0
 """Weight of the flux that is handed to others in a step, as a change of the rates: a front that
@@ -21,6 +23,10 @@ travels by 1/100 of a horizon hands 9 % over, and errs by 0.1 % of its loss."""
 
 _STILL = 1e-3
 """A cell with less than this share of its metal shows as liquid."""
+
+
+_OF_THE_LATTICE = ("concentration", "theta")
+"""Fields by node; the others are by class."""
 
 
 class CellProblem(FirstOrder):
@@ -35,16 +41,25 @@ class CellProblem(FirstOrder):
     Parameters
     ----------
     scene : CorrosionScene
-        With an exposure.
+        With an exposure; on the root, elsewhere None.
     solver_tolerance : float
+    processes : OneProcess or its like
     """
 
     columns = COLUMNS
     evolved = ("concentration", "classes", "life")
 
-    def __init__(self, scene: CorrosionScene, solver_tolerance: float = 1e-9) -> None:
-        self.scene = scene
-        self.cells = Cells(scene, solver_tolerance)
+    def __init__(
+        self,
+        scene: CorrosionScene | None,
+        solver_tolerance: float = 1e-9,
+        processes: OneProcess = ONE_PROCESS,
+    ) -> None:
+        self.processes, self._whole_scene = processes, scene
+        self.cells = Cells(scene, solver_tolerance, processes)
+        self.scene = self.cells.scene
+        metal = None if scene is None else scene.exposure.metal
+        self._whole = WholeClasses(metal, self.cells.columns, processes)
 
     def coat(self, share: float) -> None:
         """See Cells.coat."""
@@ -52,7 +67,9 @@ class CellProblem(FirstOrder):
 
     def key(self) -> str:
         """Hash of the scene and the solver's tolerance."""
-        return fingerprint(self.scene, self.cells.tolerance)
+        return self.processes.on_root(
+            lambda: fingerprint("classes", self._whole_scene, self.cells.tolerance)
+        )
 
     # --- states ---------------------------------------------------------------------------
 
@@ -74,17 +91,31 @@ class CellProblem(FirstOrder):
     def restore(self, state: State) -> None:
         """Take from a state which classes are metal."""
         volume, ahead = state.fields["volume"], state.fields["ahead"]
-        if not (np.array_equal(volume, self.cells.volume) and ahead is self.cells.ahead):
+        same = np.array_equal(volume, self.cells.volume) and ahead is self.cells.ahead
+        if self.processes.any(not same):
             self.cells.set_volumes(volume, ahead)
 
     def begin(self, state: State) -> None:
         """Drop the preconditioner, so that a resumed march is the same."""
         self.cells.forget()
 
+    def pack(self, name: str, values: np.ndarray) -> np.ndarray:
+        """The whole lattice's or solid's field on the root."""
+        if name in _OF_THE_LATTICE:
+            return self.processes.gather(self.cells.sum.crop(values))
+        return self._whole.gather(values)
+
+    def unpack(self, name: str, stored: np.ndarray | None) -> np.ndarray:
+        """This process's part of a stored field."""
+        if name in _OF_THE_LATTICE:
+            return self.cells.sum.pad(self.processes.scatter(stored))
+        return self._whole.scatter(stored)
+
     def accept(self, state: State, stages: Sequence[Stage], step: float) -> None:
         """What is gone of the classes turns liquid."""
         liquid, solid = state.fields["concentration"], self.scene.solid_concentration
-        if self.scene.saturation == "none" and liquid.max() > solid * (1 + 1e-12):
+        full = liquid.max() > solid * (1 + 1e-12)
+        if self.scene.saturation == "none" and self.processes.any(full):
             raise ValueError(
                 "saturation: 'none' with dissolution 'faradaic'; the liquid fills beyond the "
                 f"metal's concentration at {state.time:.4g} s, use 'complementarity'"
@@ -107,7 +138,9 @@ class CellProblem(FirstOrder):
         metal, liquid = self.cells.amounts(state.fields["concentration"], state.fields["classes"])
         initial = numbers["initial"]
         error = (metal + liquid + numbers["released"] - initial) / initial if initial else 0.0
-        held = 0 if theta is None else int(((theta < 1.0) & self.cells.free).sum())
+        held = 0
+        if theta is not None:
+            held = int(self.processes.total(int(((theta < 1.0) & self.cells.free).sum())))
         released, dissolved = numbers["released"], numbers["dissolved"]
         return (
             numbers["volume_loss"], metal, liquid, released, error, held, dissolved,
@@ -125,8 +158,8 @@ class CellProblem(FirstOrder):
         mean = np.divide(left, held, out=state.fields["concentration"].copy(), where=held > 0)
         metal = cells.sum.crop(cells.scatter(cells.volume)) > _STILL * cells.sum.crop(held)
         return {
-            "concentration": cells.sum.crop(mean),
-            "metal": metal,
+            "concentration": self.processes.gather(cells.sum.crop(mean)),
+            "metal": self.processes.gather(metal),
             "volume_loss": state.numbers["volume_loss"],
         }
 
@@ -163,8 +196,8 @@ class CellProblem(FirstOrder):
         """
         short = right["classes"] < 0
         if not CLASS_BONDS[self.scene.dissolution.name].by_class:
-            return not short.any()
-        if short.any():
+            return not self.processes.any(short.any())
+        if self.processes.any(short.any()):
             after, ratio = first.fields["classes"][short], (1.0 - GAMMA) / GAMMA
             before = (ratio * after - right["classes"][short]) / (ratio - 1.0)
             inverse = np.divide(before, after, out=np.full_like(after, np.inf), where=after > 0)
@@ -178,7 +211,8 @@ class CellProblem(FirstOrder):
         """The fastest class's relative loss, 1/s."""
         cells = self.cells
         rate, local = cells.interface_rate(0.0)
-        return rate * float((local * cells.bond_sum)[cells.volume > 0].max(initial=0.0))
+        fastest = float((local * cells.bond_sum)[cells.volume > 0].max(initial=0.0))
+        return rate * self.processes.largest(fastest)
 
     def bounded(self, fields: Fields) -> Fields:
         """Concentrations from 0 to C_solid."""
@@ -194,24 +228,27 @@ class CellProblem(FirstOrder):
         classes, liquid = new["classes"][metal], new["concentration"]
         rose = np.any(classes > old.fields["classes"][metal] + rounding)
         over = liquid.max() > highest * (1 + 1e-9)
-        return not (rose or over or classes.min(initial=0.0) < 0 or liquid.min() < -rounding)
+        under = classes.min(initial=0.0) < 0 or liquid.min() < -rounding
+        return not self.processes.any(rose or over or under)
 
     def change(self, attempt: Attempt) -> float:
         """Relative change of the metal's loss rate in a step, class by class."""
-        cells, new = self.cells, attempt.stages[-1].fields["classes"]
+        cells, total = self.cells, self.processes.total
+        new = attempt.stages[-1].fields["classes"]
         change = new - attempt.old.fields["classes"]
-        progress = float(cells.volume @ np.abs(change))
+        progress = total(float(cells.volume @ np.abs(change)))
         if progress <= 0.1 * cells.tolerance * cells.metal_scale:
             return 0.0
         away = cells.volume * (change - attempt.expected["classes"])
         by_class = CLASS_BONDS[self.scene.dissolution.name].by_class
-        off = float(np.abs(away).sum() if by_class else abs(away.sum())) / progress
+        off = total(float((np.abs(away) if by_class else away).sum())) / progress
         late = self._late(new, attempt.stages[-1].fields["life"])
-        return max(attempt.share * off, _LATE * late)
+        return max(attempt.share * abs(off), _LATE * late)
 
     def _late(self, classes: np.ndarray, life: np.ndarray) -> float:
         """Share of the interface's flux that a step takes from what goes with it."""
         cells = self.cells
-        whole = float(cells.volume @ cells.bond_sum)
+        total = self.processes.total
+        whole = total(float(cells.volume @ cells.bond_sum))
         lost = cells.volume - cells.left(classes, life)
-        return float(lost @ cells.bond_sum) / whole if whole > 0 else 0.0
+        return total(float(lost @ cells.bond_sum)) / whole if whole > 0 else 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +14,6 @@ from peri.corrosion.classes.volumes import Volumes
 from peri.corrosion.interface import saturation
 from peri.corrosion.interface.exchange import FixedPoint
 from peri.engine.march.problem import BoundsError
-from peri.engine.processes import ONE_PROCESS
 from peri.engine.solvers import ConvergenceError, DiffusionSystem
 
 _ROUNDS = 60
@@ -62,6 +62,7 @@ class StageSolver:
     ) -> CellStage:  # fmt: skip
         """Solve Y = old + tau F(Y), kinetics and saturation included; see BiMaterial."""
         saturated = self.cells.scene.saturation_concentration
+        total, anywhere = self.cells.processes.total, self.cells.processes.any
         y = np.where(self.cells.free, guess, 0.0)
         bounded = self.cells.scene.saturation == "complementarity"
         reached = self.cells.free & (self.cells.pull > 0) & bounded
@@ -72,9 +73,9 @@ class StageSolver:
         law = CLASS_BONDS[self.cells.scene.dissolution.name]
         iterations, stall = 0, saturation.Stall()
         whole: Array | None = None  # what all cells need, where nothing changed since
-        seen = FixedPoint(ONE_PROCESS)
+        seen = FixedPoint(self.cells.processes)
         for rounds in range(1, _ROUNDS + 1):
-            if np.any(y[active] != saturated):
+            if anywhere(np.any(y[active] != saturated)):
                 y[active], whole = saturated, None
             guessed, drift = seen.settle(self.cells.seen_liquid(y))
             bonds = law(self.cells, theta, old_classes, tau, guessed)
@@ -93,11 +94,13 @@ class StageSolver:
                 active, np.where(reached, y, 0.0), needed, available, saturated
             )
             bonds_on = np.maximum(new_theta, 0.0)
-            mismatch = tau * float((np.abs(bonds_on - theta) * available)[active].sum())
-            changes = int((new_active != active).sum())
+            off = (np.abs(bonds_on - theta) * available)[active]
+            mismatch = tau * total(float(off.sum()))
+            changes = int(total(int((new_active != active).sum())))
             small = 1e-9 * self.cells.metal_scale * max(1e-3, loss)
             if settled and not changes and mismatch <= small:
-                if -tau * float(needed[active].clip(max=0.0).sum()) > 1e-9 * self.cells.metal_scale:
+                shortfall = total(-float(needed[active].clip(max=0.0).sum()))
+                if tau * shortfall > 1e-9 * self.cells.metal_scale:
                     raise BoundsError("saturation: the stage would need a negative inflow")
                 break
             if stall.after(changes, mismatch):
@@ -111,7 +114,7 @@ class StageSolver:
                 f"saturation: the active set did not settle at a step of {tau:.3g} s"
             )
         release = self._released(y, bonds, classes)
-        if active.any():
+        if anywhere(active.any()):
             # What an active cell takes in is what the metal loses, to round-off.
             change = np.where(active, new_theta - theta, 0.0)
             classes = bonds.correct(classes, change, saturated)
@@ -136,7 +139,8 @@ class StageSolver:
         back = np.divide(cells.volume * owed, seen, out=np.zeros_like(seen), where=seen > 0)
         back = cells.near(cells.scatter(back)) * cells.nu
         old = old - np.where(cells.free, theta * back, 0.0)
-        return old, float((cells.held_share * back).sum()) * cells.scene.lattice.cell_volume
+        returned = cells.processes.total(float((cells.held_share * back).sum()))
+        return old, returned * cells.scene.lattice.cell_volume
 
     def _flow(self, y: Array) -> Array:
         """D_liq sum_k w_jk c_k (C_k - C_j) per relative volume; held cells at zero."""
@@ -154,7 +158,8 @@ class StageSolver:
         diagonal = 1.0 / tau + d * self.cells.neighbour_share
         extra_diagonal = np.where(unknown, bonds.diagonal, 0.0)
         key = (tau, active.tobytes())
-        if self._system is None or self._key != key:
+        anywhere = self.cells.processes.any
+        if anywhere(self._system is None or self._key != key):
             sink = weight * (diagonal - d * self.cells.sum(weight))
             sink += extra_diagonal * bonds.storage_share
             self._system = DiffusionSystem(
@@ -167,36 +172,39 @@ class StageSolver:
             out += share
             return float(np.vdot(share, u))
 
-        self._system.extra = add
+        system = self._system
+        assert system is not None
+        system.extra = add
         gain = bonds.theta * bonds.offered(bonds.value(), y)
         r = np.where(unknown, gain - needed, 0.0)
-        scale = float(np.linalg.norm(self.cells.free_share * old)) / tau + float(
-            np.linalg.norm(gain)
-        )
+        scale = self._norm(self.cells.free_share * old) / tau + self._norm(gain)
         least = _NOTHING * self.cells.metal_scale / tau
         wanted = self.cells.tolerance * max(scale, least)
-        enough = max(wanted, _ROUND_REDUCTION * float(np.linalg.norm(r)))
-        enough = enough if active.any() else wanted
-        return self._system.solve(y, r, enough), enough <= wanted
+        enough = max(wanted, _ROUND_REDUCTION * self._norm(r))
+        enough = enough if anywhere(active.any()) else wanted
+        return system.solve(y, r, enough), enough <= wanted
+
+    def _norm(self, values: Array) -> float:
+        return math.sqrt(self.cells.processes.total(float(np.vdot(values, values))))
 
     def _released(self, y: Array, bonds: Bonds, classes: Array) -> float:
         """Amount that reaches the held cells per second, mol/s."""
         d, held = self.cells.scene.liquid_diffusivity, self.cells.held_share
-        if not held.any():
+        if not self.cells.processes.any(held.any()):
             return 0.0
         rate = d * float((self.cells.sum(self.cells.free_share * y) * held).sum())
         rate += float((bonds.arriving(classes) * held).sum())
-        return rate * self.cells.scene.lattice.cell_volume
+        return self.cells.processes.total(rate) * self.cells.scene.lattice.cell_volume
 
     def _close(self, y, classes, old, old_classes, released, active) -> None:
         """Scale liquid (or the metal's loss) so that the amounts add up to round-off."""
+        total = self.cells.processes.total
         content = self.cells.free_share * y
         missing = float((self.cells.free_share * old).sum()) - float(content.sum())
-        missing += float(self.cells.volume @ (old_classes - classes))
-        missing -= released / self.cells.scene.lattice.cell_volume
-        solved = self.cells.free & ~active
-        liquid = float(content[solved].sum())
         lost = float(self.cells.volume @ (old_classes - classes))
+        missing = total(missing + lost) - released / self.cells.scene.lattice.cell_volume
+        solved = self.cells.free & ~active
+        liquid, lost = total(float(content[solved].sum())), total(lost)
         if liquid > 0 and abs(missing) <= 1e-6 * liquid:
             y[solved] *= 1.0 + missing / liquid
         elif lost > 0 and abs(missing) <= 1e-3 * lost:

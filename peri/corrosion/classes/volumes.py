@@ -28,11 +28,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from peri.corrosion.blocks import block_scene
 from peri.corrosion.classes.columns import Columns
 from peri.corrosion.kinetics import Exposed
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.influence import closed_constant, closed_strength
 from peri.engine.operators import NonlocalSum
+from peri.engine.processes import ONE_PROCESS, OneProcess, box_in_reach
 from peri.engine.solvers import DiffusionSystem
 from peri.engine.surface.flat_front import FlatFront
 
@@ -40,6 +42,9 @@ _SMALLEST_SHARE = 1e-3
 """Cells with a smaller share of liquid hold none (of a thousandth of a cell's flux)."""
 _THINNEST = 1e-18
 """Of a class: less than that of it is none; what its cell's liquid takes for it is round-off."""
+_EMPTIED = 1e-6
+"""Of C_solid: a class that holds less is empty, where metal ends empty.  Saturation factors, known
+to 1e-9 of the metal, leave such rests, which are no metal."""
 _BALANCING_ROUNDS = 8
 """Of mu and nu by turns; more change V_L by less than 1e-4 (the metal's condition is exact)."""
 
@@ -55,21 +60,30 @@ class Volumes:
         With an `exposure`; kinetics of one number.
     tolerance : float
         Residual norm relative to the sources at which a linear solution is accepted.
+    processes : OneProcess or its like
+        Who holds which block of the lattice; `self.scene` and all arrays are those of the block.
 
     columns : the classes in their order.  cell : (n,) each class's cell in the flattened padded
     lattice; place : (r,) each column's.  volume : (n,) relative, what is metal of a class.
     bond_sum : (n,) G, 1/m^2.  age : (n,) s since a class first saw liquid, set before a stage.
-    share : padded, c.  ends : mol/m^3, what metal holds where it ends.
+    share : padded, c.  ends, gone : mol/m^3, what metal holds where it ends, and a class that is
+    counted as gone.
     """
 
-    def __init__(self, scene: CorrosionScene, tolerance: float = 1e-9) -> None:
-        self.scene, self.tolerance = scene, tolerance
+    def __init__(
+        self,
+        scene: CorrosionScene | None,
+        tolerance: float = 1e-9,
+        processes: OneProcess = ONE_PROCESS,
+    ) -> None:
+        self.processes, self.tolerance = processes, tolerance
+        self.scene = scene = block_scene(scene, processes)
         lattice, exposed = scene.lattice, scene.exposure
-        self.sum = NonlocalSum(scene.stencil, lattice.shape, scene.domain)
+        self.sum = NonlocalSum(scene.stencil, lattice.shape, scene.domain, processes=processes)
         places = np.arange(int(np.prod(self.sum.padded_shape))).reshape(self.sum.padded_shape)
         height = lattice.cell_volume ** (1 / 3) / scene.horizon
         front = FlatFront(scene.horizon, scene.kernel_exponent, scene.influence)
-        self.columns = Columns(exposed.metal, height, front)
+        self.columns = Columns(exposed.metal, height, front, processes)
         self.cell = places[self.sum.interior].ravel()[self.columns.cell]
         self.place = np.zeros(self.columns.first.size, int)
         self.place[self.columns.row] = self.cell
@@ -82,10 +96,13 @@ class Volumes:
         self.held_share = np.clip(np.minimum(self.sum.pad(held), share), 0.0, 1.0)
         free = share - self.held_share
         self.initial_free = np.where(free < _SMALLEST_SHARE, 0.0, free)
-        self.near = NonlocalSum(scene.stencil, lattice.shape, self._reached())
+        rows = self._reached()
+        self.near = NonlocalSum(scene.stencil, lattice.shape, rows, processes=processes)
         self._front_sum: NonlocalSum | None = None
-        self.cells_of_metal = float(self.initial_volume.sum())
+        self.cells_of_metal = processes.total(float(self.initial_volume.sum()))
         solid, self.ends = scene.solid_concentration, scene.dissolution.liquid_below(scene)
+        # What a class holds when it is gone: no more than its cell's liquid may.
+        self.gone = self.ends or min(_EMPTIED * solid, scene.saturation_concentration)
         self.metal_scale = self.cells_of_metal * solid
         self._loss_scale = self.cells_of_metal * (solid - self.ends)
         self.base_diffusivity = scene.base_interface_diffusivity()
@@ -94,14 +111,11 @@ class Volumes:
 
     def _reached(self) -> NDArray[np.bool_]:
         """Lattice nodes within the stencil's reach of a cell with metal (a box)."""
-        held = np.zeros(self.sum.shape, bool)
-        held[self.scene.exposure.metal.fraction.reshape(self.sum.shape) > 0] = True
+        held = self.scene.exposure.metal.fraction.reshape(self.sum.shape) > 0
         rows = np.zeros(self.sum.shape, bool)
-        window = []
-        for a, reach in enumerate(self.sum.reach):
-            present = np.flatnonzero(held.any(axis=tuple(b for b in range(3) if b != a)))
-            window.append(slice(max(0, present[0] - reach), present[-1] + reach + 1))
-        rows[tuple(window)] = True
+        window = box_in_reach(held, self.sum.reach, self.processes)
+        assert window is not None  # a scene with an exposure has metal
+        rows[window] = True
         return rows.reshape(self.scene.lattice.shape)
 
     # --- bonds ----------------------------------------------------------------------------
@@ -113,7 +127,8 @@ class Volumes:
     def scatter(self, values: Array) -> Array:
         """Sum of the classes' values in each cell, padded."""
         size = int(np.prod(self.sum.padded_shape))
-        return np.bincount(self.cell, values, size).reshape(self.sum.padded_shape)
+        # counts of nothing are whole numbers
+        return np.bincount(self.cell, values, size).astype(float).reshape(self.sum.padded_shape)
 
     def set_volumes(self, volume: Array, ahead: Array | None = None) -> None:
         """Take what is metal of the classes; bonds and shares follow.
@@ -128,7 +143,7 @@ class Volumes:
         self.neighbour_share = self.sum(self.share)
         self.bond_sum = self.initial_bond_sum
         wanted = self.share * self.liquid_bond_sum
-        if grown.any():
+        if self.processes.any(grown.any()):
             now = self._seen_metal(self.ahead)
             self.bond_sum = self._moved(now)
             # Liquid sees less metal as that goes; new liquid what the shares say.
@@ -143,7 +158,8 @@ class Volumes:
         if self._front_sum is None:
             weights = self.scene.cut_cell_stencil(self.columns.front)
             rows = self._reached()
-            self._front_sum = NonlocalSum(weights, self.scene.lattice.shape, rows)
+            shape = self.scene.lattice.shape
+            self._front_sum = NonlocalSum(weights, shape, rows, processes=self.processes)
             self._at_first = self._front_sum(self.scatter(self.initial_volume))
         return self._front_sum(self.scatter(volume))
 
@@ -168,8 +184,8 @@ class Volumes:
 
     def _balance(self, wanted_liquid: Array) -> None:
         """mu of the classes and nu of the liquid cells (which should see `wanted`), by turns."""
-        flux = float((self.volume * self.bond_sum).sum())
-        total = float(wanted_liquid.sum())
+        flux = self.processes.total(float((self.volume * self.bond_sum).sum()))
+        total = self.processes.total(float(wanted_liquid.sum()))
         wanted_liquid = wanted_liquid * (flux / total) if total > 0 else wanted_liquid
         nu = (self.share > 0).astype(float)
         for turn in range(_BALANCING_ROUNDS + 1):
@@ -186,8 +202,9 @@ class Volumes:
     def dropped(self) -> float:
         """Share of the flux into clean liquid of classes that no bond reaches."""
         seen = self.mu > 0
-        flux = self.volume * self.bond_sum
-        return float(flux[~seen].sum() / flux.sum()) if flux.any() else 0.0
+        flux, total = self.volume * self.bond_sum, self.processes.total
+        whole = total(float(flux.sum()))
+        return total(float(flux[~seen].sum())) / whole if whole > 0 else 0.0
 
     def steady_bound(self) -> Array | None:
         """The liquid's steady state under the classes' first inflow, mol/m^3, on the lattice.
@@ -210,12 +227,14 @@ class Volumes:
     def volume_loss(self, classes: Array) -> float:
         """V_L = 1 - sum v (C - C_end) / sum_initial v (C_solid - C_end), C_end where metal ends."""
         above = np.maximum(classes - self.ends, 0.0)
-        return min(1.0, max(0.0, 1.0 - float(self.volume @ above) / self._loss_scale))
+        left = self.processes.total(float(self.volume @ above))
+        return min(1.0, max(0.0, 1.0 - left / self._loss_scale))
 
     def amounts(self, liquid: Array, classes: Array) -> tuple[float, float]:
         """Amount in the metal and in the free liquid, mol."""
-        cell = self.scene.lattice.cell_volume
-        return cell * float(self.volume @ classes), cell * float((self.free_share * liquid).sum())
+        cell, total = self.scene.lattice.cell_volume, self.processes.total
+        metal = total(float(self.volume @ classes))
+        return cell * metal, cell * total(float((self.free_share * liquid).sum()))
 
     def coat(self, share: float) -> None:
         """Let the interface carry a share of what it carries bare, from now on."""
@@ -251,7 +270,8 @@ class Volumes:
         # What is left keeps what the class holds above C_end, so that it stays below C_solid; a
         # class is gone when it holds no more than that, or next to nothing.
         left = np.maximum(left, volume * np.maximum(classes - ends, 0.0) / (solid - ends))
-        left = np.where((classes > ends) & (left > _THINNEST * self.initial_volume), left, 0.0)
+        there = (classes > self.gone) & (left > _THINNEST * self.initial_volume)
+        left = np.where(there, left, 0.0)
         grown = self.initial_free + self.scatter(self.initial_volume - left)
         return np.where(self.gather(grown) < _SMALLEST_SHARE, volume, left)
 
@@ -263,7 +283,7 @@ class Volumes:
         rates are for.
         """
         left, before = self.left(classes, life), self.volume
-        if np.array_equal(left, before):
+        if not self.processes.any(not np.array_equal(left, before)):
             return 0
         gone = (before > 0) & (left == 0)
         moved = (before - left) * np.where(gone, classes, self.ends)
@@ -276,7 +296,7 @@ class Volumes:
         liquid[:] = np.divide(
             content, self.free_share, out=np.zeros_like(content), where=self.free_share > 0
         )
-        return int(gone.sum())
+        return int(self.processes.total(int(gone.sum())))
 
 
 def class_bond_sums(scene: CorrosionScene) -> Array:

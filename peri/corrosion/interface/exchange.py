@@ -117,8 +117,8 @@ class FixedPoint:
             self.value = found
             return found, np.inf
         residual = found - self.value
-        scale = self.processes.largest(float(np.abs(found).max()))
-        off = self.processes.largest(float(np.abs(residual).max()))
+        scale = self.processes.largest(float(np.abs(found).max(initial=0.0)))
+        off = self.processes.largest(float(np.abs(residual).max(initial=0.0)))
         if self._residual is not None:
             total, change = self.processes.total, residual - self._residual
             moved = total(float((change * change).sum()))

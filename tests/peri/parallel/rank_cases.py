@@ -5,19 +5,21 @@ mpirun -n 2 python tests/peri/parallel/rank_cases.py FILE.npz
 
 import sys
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 
 from peri.corrosion import CorrosionScene
 from peri.corrosion.blocks import block_scene
+from peri.corrosion.coating import Coating
 from peri.corrosion.kinetics import VolumeLossLaw
 from peri.corrosion.laws import INTERFACE_LAWS
-from peri.engine.lattice import ball, box_lattice, cylinder
+from peri.engine.lattice import Lattice, ball, box_lattice, cylinder
 from peri.engine.march.marching import TimeStepping
 from peri.engine.operators import NonlocalSum
 from peri.engine.processes import ONE_PROCESS
 from peri.engine.solvers import DiffusionSystem, LinearSystem
+from peri.engine.surface.rate_classes import CellExposure, cell_exposure
 from peri.schemes.bonds import (
     Exponential,
     Harmonic,
@@ -25,7 +27,10 @@ from peri.schemes.bonds import (
     mean_conductances,
     square_root_fluxes,
 )
+from tests.peri.bodies import ball as balls
 from tests.peri.corrosion.scenes import LAWS, WEEK, law_scene
+from tests.peri.corrosion.test_local_kinetics import Inhibited, Passivating
+from tests.peri.engine.surface.test_rate_classes import share_of_ball
 
 DAY = 86400.0
 SOLVER_TOLERANCE = 1e-10
@@ -64,6 +69,41 @@ def line_scene() -> CorrosionScene:
     )  # fmt: skip
 
 
+@lru_cache
+def end_of_ball() -> tuple[Lattice, CellExposure]:
+    """A ball of 1.2 horizons with rate classes at one end of a lattice: a block has no metal."""
+    lattice = Lattice((-2.4, -2.1, -1.9), (0.5,) * 3, (20, 9, 8))
+    fraction = share_of_ball(lattice, 1.2, rays=8)
+    return lattice, cell_exposure(lattice, balls(1.2, 2, scaled=True), 1.0, fraction)
+
+
+def class_scene(**options) -> CorrosionScene:
+    """Rate classes that dissolve within their cells, horizon of two spacings."""
+    lattice, exposure = end_of_ball()
+    settings = {
+        "solid_concentration": 100.0, "saturation_concentration": 30.0, "dissolution_flux": 0.05,
+        "liquid_diffusivity": 1.0, **options,
+    }  # fmt: skip
+    metal = exposure.metal.fraction > 0
+    return CorrosionScene(lattice, 1.0, metal, exposure=exposure, **settings)
+
+
+_CLOSED = {"boundary": "no_flux", "liquid_diffusivity": 1e-2, "saturation_concentration": 5.0}
+CLASSES = {
+    "classes-aged": (
+        {"kinetics": Passivating(1000.0), "coating": Coating(0.3, 200.0)},
+        TimeStepping("sdirk2", step=350.0),  # skin classes go below zero
+    ),
+    "classes-inhibited": (
+        {**_CLOSED, "kinetics": Inhibited(20.0)},
+        TimeStepping("sdirk2", rate_change=0.4),
+    ),
+    "classes-faradaic": (
+        {**_CLOSED, "dissolution": "faradaic"},
+        TimeStepping("sdirk2", rate_change=0.4),
+    ),
+}
+"""Both laws of the bonds, clean and saturated; rates by age, coating and the liquid."""
 MARCHES = {
     "ball": (ball_scene, (0.5 * DAY, DAY), TimeStepping("sdirk2", step=0.5 * DAY)),
     "closed": (closed_scene, (2 * DAY,), TimeStepping("backward_euler", step=DAY)),
@@ -79,6 +119,12 @@ MARCHES |= {
     for name, law in LAWS.items()
     for bond in INTERFACE_LAWS
 }
+MARCHES |= {
+    name: (partial(class_scene, **options), (900.0,), stepping)
+    for name, (options, stepping) in CLASSES.items()
+}
+STOPPED = {"line": 3, "classes-faradaic": 6}
+"""Marches that are stopped at so many reports."""
 STIFFNESSES = (1.0, 1e3, 1e6)
 
 
@@ -163,22 +209,24 @@ def main(path: str) -> None:
         x, count = solve(*bond_system(name, scene, ranks), ranks)
         ranks.close()
         out[f"bonds/{name}"], out[f"bonds/{name}/iterations"] = x, count
-    # A march that rank 0 stops after two steps leaves a checkpoint.
-    make, times, stepping = MARCHES["line"]
-    calls = []
+    # A march that rank 0 stops after some reports leaves a checkpoint, and goes on from there.
+    for name, reports in STOPPED.items():
+        make, times, stepping = MARCHES[name]
+        scene, calls = make() if root else None, []
 
-    def stop_after_two_steps(fraction, text):
-        calls.append(fraction)
-        if len(calls) > 2:
-            raise InterruptedError
+        def stop(fraction, text, calls=calls, reports=reports):
+            calls.append(fraction)
+            if len(calls) == reports:
+                raise InterruptedError
 
-    try:
-        corrode(
-            make() if root else None, times, stepping, solver_tolerance=SOLVER_TOLERANCE,
-            progress=stop_after_two_steps, checkpoint=path + ".checkpoint", checkpoint_every=0.0,
-        )  # fmt: skip
-    except InterruptedError:
-        out["stopped"] = comm.gather(len(calls))
+        options = {"solver_tolerance": SOLVER_TOLERANCE, "checkpoint": f"{path}.{name}"}
+        try:
+            corrode(scene, times, stepping, progress=stop, checkpoint_every=0.0, **options)
+        except InterruptedError:
+            out[f"stopped/{name}"] = comm.gather(len(calls))
+        result = corrode(scene, times, stepping, resume=True, checkpoint_every=1e9, **options)
+        if root:
+            out[f"resumed/{name}"] = result.concentration
     # Blocks narrower than the reach.
     lattice = box_lattice((0.0,), (3e-6,), 1e-6)
     small = replace(line_scene(), lattice=lattice, metal=np.zeros(3, bool), domain=None)

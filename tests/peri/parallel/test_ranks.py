@@ -35,7 +35,8 @@ def on_ranks(tmp_path_factory):
                 env=environment, capture_output=True, text=True, timeout=300,
             )  # fmt: skip
             assert done.returncode == 0, done.stderr[-3000:]
-            found[ranks] = dict(np.load(path)), Path(f"{path}.checkpoint")
+            checkpoints = {name: Path(f"{path}.{name}") for name in rank_cases.STOPPED}
+            found[ranks] = dict(np.load(path)), checkpoints
         return found[ranks]
 
     return results
@@ -59,9 +60,9 @@ def test_march_agrees_with_the_embedded_solver(name, ranks, on_ranks, embedded):
     # The state is not trivial: metal is lost, liquid is reached.
     assert expected.volume_loss[-1] > 0.01
     assert expected.concentration[-1][~expected.scene.metal].max() > 1e-6 * solid
-    if name == "closed":
+    if name in ("closed", "classes-faradaic"):
         assert expected.history["saturated_nodes"].max() > 0
-    if name == "line":
+    if name == "line" or name.startswith("classes"):
         assert expected.history["dissolved_nodes"].sum() > 0
     # the solver's tolerance: measured at most 9e-14, 4e-13, 3e-16 of it (ball, closed, line)
     difference = np.abs(arrays[f"{name}/concentration"] - expected.concentration)
@@ -125,16 +126,21 @@ def test_bonds_of_all_kinds_on_ranks(name, on_ranks):
 
 
 @needs_mpirun
-def test_checkpoint_of_two_ranks_resumes_in_one_process(on_ranks, embedded):
-    arrays, checkpoint = on_ranks(2)
-    # What rank 0 raised in its third report reached rank 1, which reports nothing.
-    np.testing.assert_array_equal(arrays["stopped"], [3, 0])
-    make, times, stepping = rank_cases.MARCHES["line"]
+@pytest.mark.parametrize("name", rank_cases.STOPPED)
+def test_checkpoint_of_ranks_resumes_there_and_in_one_process(name, on_ranks, embedded):
+    for ranks in RANKS:
+        arrays, checkpoints = on_ranks(ranks)
+        # What rank 0 raised in a report reached the others, which report nothing.
+        reports = [rank_cases.STOPPED[name]] + [0] * (ranks - 1)
+        np.testing.assert_array_equal(arrays[f"stopped/{name}"], reports)
+        np.testing.assert_array_equal(arrays[f"resumed/{name}"], arrays[f"{name}/concentration"])
+    arrays, checkpoints = on_ranks(2)
+    make, times, stepping = rank_cases.MARCHES[name]
     resumed = corrode(
         make(), times, stepping, solver_tolerance=rank_cases.SOLVER_TOLERANCE,
-        checkpoint=checkpoint, resume=True,
+        checkpoint=checkpoints[name], resume=True, checkpoint_every=1e9,
     )  # fmt: skip
-    expected = embedded["line"]
+    expected = embedded[name]
     assert len(resumed.history["time"]) == len(expected.history["time"])
     solid = expected.scene.solid_concentration
     difference = np.abs(resumed.concentration - expected.concentration).max()

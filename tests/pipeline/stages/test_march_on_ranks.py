@@ -19,15 +19,12 @@ RUN += ["--keep", "liquid", "far_liquid", "--classes", "0"]
 
 
 def test_what_one_process_computes_is_refused_on_ranks(tmp_path, capsys):
-    scene = resolve_scene(["Mg-5Gd"], ["8w"], corrosion={"classes": 2})
-    check_ranks(scene, 1)
-    with pytest.raises(SceneError, match="with --classes it must be 1"):
-        check_ranks(scene, 2)
+    check_ranks(resolve_scene(["Mg-5Gd"], ["8w"], corrosion={"classes": 2}), 2)
+    check_ranks(resolve_scene(["Mg-5Gd"], ["8w"], ions=resolve_ions()), 1)
     with pytest.raises(SceneError, match="with --model nnpp it must be 1"):
         check_ranks(resolve_scene(["Mg-5Gd"], ["8w"], ions=resolve_ions()), 2)
-    # unless classes are asked for, a march on ranks has one rate per node
-    assert [LifeCycle("Mg-5Gd", "8w", ranks=n).scene.corrosion.classes for n in (1, 2)] == [3, 0]
-    assert LifeCycle("Mg-5Gd", "8w", ranks=2, classes="2").scene.corrosion.classes == 2
+    # a march on ranks has rate classes as one in one process
+    assert [LifeCycle("Mg-5Gd", "8w", ranks=n).scene.corrosion.classes for n in (1, 2)] == [3, 3]
     out = str(tmp_path / "run")
     assert main(["run", *RUN, "--ranks", "0", "--out", out]) == 2
     assert "--ranks is 0; it must be 1 to 4096" in capsys.readouterr().err
