@@ -180,9 +180,11 @@ def _restore(problem: Problem, path: Path, mark: str, record: _Record) -> Course
     arrays: dict[str, np.ndarray] = {}
     processes.on_root(lambda: arrays.update(checkpoints.read_checkpoint(path, mark)))
     names: list[str] = processes.from_root(sorted(arrays))
-    # Fields stay on the root, which deals them out one by one; everything else is small.
+    # Fields and outputs stay on the root, which deals the former out; everything else is small.
     small = {
-        n: arrays[n] for n in names if n in arrays and "/fields/" not in n and n[:6] != "output"
+        n: values
+        for n, values in arrays.items()
+        if "/fields/" not in n and (n[:6] != "output" or values.ndim == 0)
     }
     small = processes.from_root(small)
 
@@ -207,7 +209,7 @@ def _restore(problem: Problem, path: Path, mark: str, record: _Record) -> Course
     for n in names:
         if n.startswith("output"):
             moment, key = n.split("/", 1)
-            value = arrays.get(n, np.empty(0))
+            value = arrays.get(n, small.get(n, np.empty(0)))
             outputs.setdefault(moment, {})[key] = value if value.ndim else float(value)
     record.outputs.extend(outputs.values())
     return course

@@ -46,7 +46,7 @@ def on_ranks(tmp_path_factory):
 def embedded():
     """Results of the same marches in this process."""
     return {
-        name: corrode(make(), times, stepping, solver_tolerance=rank_cases.SOLVER_TOLERANCE)
+        name: corrode(make(), times, stepping, solver_tolerance=rank_cases.tolerance(name))
         for name, (make, times, stepping) in rank_cases.MARCHES.items()
     }
 
@@ -60,9 +60,9 @@ def test_march_agrees_with_the_embedded_solver(name, ranks, on_ranks, embedded):
     # The state is not trivial: metal is lost, liquid is reached.
     assert expected.volume_loss[-1] > 0.01
     assert expected.concentration[-1][~expected.scene.metal].max() > 1e-6 * solid
-    if name in ("closed", "classes-faradaic"):
+    if name in ("closed", "classes-inhibited", "classes-faradaic"):
         assert expected.history["saturated_nodes"].max() > 0
-    if name == "line" or name.startswith("classes"):
+    if name in ("line", "classes-aged", "classes-faradaic"):
         assert expected.history["dissolved_nodes"].sum() > 0
     # the solver's tolerance: measured at most 9e-14, 4e-13, 3e-16 of it (ball, closed, line)
     difference = np.abs(arrays[f"{name}/concentration"] - expected.concentration)
@@ -137,7 +137,7 @@ def test_checkpoint_of_ranks_resumes_there_and_in_one_process(name, on_ranks, em
     arrays, checkpoints = on_ranks(2)
     make, times, stepping = rank_cases.MARCHES[name]
     resumed = corrode(
-        make(), times, stepping, solver_tolerance=rank_cases.SOLVER_TOLERANCE,
+        make(), times, stepping, solver_tolerance=rank_cases.tolerance(name),
         checkpoint=checkpoints[name], resume=True, checkpoint_every=1e9,
     )  # fmt: skip
     expected = embedded[name]
