@@ -385,6 +385,11 @@ def _scatter(group, nodes, group_nodes, stiffness, local_force, local, target):
                 at += width
 
 
+def largest_amount(values: np.ndarray) -> float:
+    """Largest absolute value, 0 of nothing; without a copy of a stiffness of many megabytes."""
+    return max(float(values.max()), -float(values.min())) if values.size else 0.0
+
+
 @kernel
 def multiply(row_start, columns, values, vector, result):
     """result = K vector on the owned rows; vector (n, 3) holds ghosts, result (owned, 3)."""

@@ -8,7 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from mpi4py import MPI
 
-from fem.assembly import Assembled, Assembler, constrain, multiply, multiply_transposed
+from fem.assembly import (
+    Assembled,
+    Assembler,
+    constrain,
+    largest_amount,
+    multiply,
+    multiply_transposed,
+)
 from fem.constitutive.gurson import STIFFENING
 from fem.loading import MovingGrip
 from fem.quadrature_state import QuadratureState
@@ -91,7 +98,7 @@ class EquilibriumSolver:
             right -= product
         right[self.fixed[: d.owned_nodes]] = 0.0
         floating = self._floating_rows(result)
-        diagonal = float(np.abs(result.values).max()) if result.values.size else 0.0
+        diagonal = largest_amount(result.values)
         scale = self.comm.allreduce(diagonal, MPI.MAX)
         constrain(d.row_start, d.columns, result.values, self.fixed, scale)
         self.linear.set_values(result.values)

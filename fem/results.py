@@ -73,36 +73,35 @@ class ParaviewSeries:
         self.folder, self.every, self.name = Path(folder), every, name
         self._entries: dict[int, str] = {}
         self._largest = -np.inf
-        self._peak: _Picture | None = None
-        self._last: _Picture | None = None
+        self._peak: _State | None = None
+        self._last: _State | None = None
 
     def begin(self, increment: Increment) -> None:
         """Write the state before the first increment; collective."""
         self(increment)
 
     def __call__(self, increment: Increment) -> None:
-        """Take one state, and write it if it is due; collective."""
-        picture = self._take(increment)
-        if picture is None:
-            return
-        self._last = picture
+        """Keep one state, and write it if it is due; collective."""
+        self._last = _State.of(increment)
         if increment.reaction > self._largest:
-            self._largest, self._peak = increment.reaction, picture
+            self._largest, self._peak = increment.reaction, self._last
         if increment.number % self.every == 0:
-            self._write(picture)
+            self._show(self._last)
 
     def finish(self) -> None:
-        """Write the state at the peak and the last one, where that has not been done."""
-        for picture in (self._peak, self._last):
-            if picture is not None and picture.number not in self._entries:
-                self._write(picture)
+        """Write the state at the peak and the last one, where that has not been done; collective.
 
-    def _take(self, increment: Increment) -> _Picture | None:
-        """The state on rank 0, None on the others; collective."""
-        test = increment.test
-        d, state = test.discretisation, increment.fields
-        shown = d.owned & test.assembler.alive
-        displacement = increment.march.displacement
+        Until then most increments are a new peak: what is shown of a state is not computed before.
+        """
+        for state in (self._peak, self._last):
+            if state is not None and state.number not in self._entries:
+                self._show(state)
+
+    def _show(self, kept: _State) -> None:
+        """Gather what is shown of a state and write it on rank 0; collective."""
+        test, state, displacement = kept.test, kept.fields, kept.displacement
+        d, shown = test.discretisation, kept.shown
+        self._entries[kept.number] = ""
         values = {
             "cauchy_stress_Pa": cauchy_stress(d, state, displacement, shown),
             "mises_kirchhoff_Pa": state.mises[shown].mean(axis=1),
@@ -114,7 +113,7 @@ class ParaviewSeries:
         vertex = d.mesh.input_vertices[: d.owned_nodes]
         moved = test.comm.gather((vertex[vertex >= 0], displacement[: d.owned_nodes][vertex >= 0]))
         if test.comm.rank != 0:
-            return None
+            return
         numbers = test.prepared.kept[np.concatenate([cells for cells, _ in parts])]
         order = np.argsort(numbers)
         everywhere = np.zeros_like(test.prepared.points)
@@ -123,10 +122,9 @@ class ParaviewSeries:
         cell_data = {
             name: np.concatenate([part[name] for _, part in parts])[order] for name in values
         }
-        return _Picture(
-            increment.number, increment.march.strain, test.prepared, numbers[order], everywhere,
-            cell_data,
-        )  # fmt: skip
+        self._write(
+            _Picture(kept.number, kept.strain, test.prepared, numbers[order], everywhere, cell_data)
+        )
 
     def _write(self, picture: _Picture) -> None:
         import pyvista
@@ -158,6 +156,25 @@ class ParaviewSeries:
         temporary = self.folder / f".{self.name}.part.pvd"
         temporary.write_text(text, encoding="utf-8")
         os.replace(temporary, self.folder / f"{self.name}.pvd")
+
+
+@dataclass(frozen=True)
+class _State:
+    """One state of a test on this rank: copies of what the next increment changes."""
+
+    number: int
+    strain: float
+    test: Any
+    fields: Fields
+    displacement: np.ndarray  # (n, 3) of the local nodes [m]
+    shown: np.ndarray  # (nl,) bool: owned cells in place
+
+    @classmethod
+    def of(cls, increment: Increment) -> _State:
+        test, march = increment.test, increment.march
+        shown = test.discretisation.owned & test.assembler.alive
+        fields = increment.fields.copy()
+        return cls(increment.number, march.strain, test, fields, march.displacement.copy(), shown)
 
 
 @dataclass(frozen=True)

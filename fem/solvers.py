@@ -90,11 +90,11 @@ class LinearSolver:
         sizes = ((rows, unknowns), (rows, unknowns))
         # on one rank PETSc reads the values where they are: inserting them takes half as long as
         # the assembly does
-        self._values = np.zeros(self._indptr[-1])
+        self.values = np.zeros(self._indptr[-1])
         pattern = (self._indptr, self._indices)
         if comm.size == 1:
             self.matrix = PETSc.Mat().createAIJWithArrays(
-                sizes, (*pattern, self._values), bsize=3, comm=comm
+                sizes, (*pattern, self.values), bsize=3, comm=comm
             )
         else:
             self.matrix = PETSc.Mat().createAIJ(sizes, bsize=3, csr=pattern, comm=comm)
@@ -133,9 +133,13 @@ class LinearSolver:
         return modes
 
     def set_values(self, values: np.ndarray) -> None:
-        """New stiffness values (scalar CSR order of the assembly)."""
+        """New stiffness values (scalar CSR order of the assembly).
+
+        On one rank they need not be copied where they are assembled into `values`.
+        """
         if self.comm.size == 1:
-            self._values[:] = values
+            if values is not self.values:
+                self.values[:] = values
             self._new_values = True
             self.matrix.stateIncrease()
         else:
@@ -247,7 +251,7 @@ class LinearSolver:
         start = time.perf_counter()
         ksp.getPC().setReusePreconditioner(True)
         if self._cycle is not None and self._new_values:
-            self._cycle.refresh(self._values)
+            self._cycle.refresh(self.values)
             self._new_values = False
         ksp.setTolerances(rtol=tolerance, atol=1e-300, max_it=limit)
         try:

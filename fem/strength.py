@@ -183,6 +183,8 @@ class _Test:
         self.unused = np.zeros(len(self.discretisation.coordinates), bool)  # by living cells
         self.grip = MovingGrip(comm, self.load, local.coordinates, moved, local.owned_nodes)
         self.linear = LinearSolver(comm, self.discretisation, self.fixed, settings.linear_solver)
+        if comm.size == 1:
+            self.assembler.values = self.linear.values
         self.solver = EquilibriumSolver(
             comm, self.assembler, self.linear, self.state, self.fixed, self.grip,
             settings.tolerance, settings.maximum_iterations,

@@ -220,8 +220,11 @@ def _init(options: argparse.Namespace) -> int:
 
         init_file(options, lambda text: print(text, end=""))
         return 0
+    import perilife_data
     from pipeline.scene.command.template import write_template
 
+    for name in options.alloy or ():
+        perilife_data.load_alloy(name)  # refuses what no run could use
     print(write_template(every_option(), options), end="")
     return 0
 

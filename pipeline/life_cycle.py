@@ -24,7 +24,7 @@ from pipeline.record.summary import SummaryRow, write_summary
 from pipeline.scene.loads import LOADS
 from pipeline.scene.scene import HoldScene, Scene
 from pipeline.scene.units import ImmersionTime
-from pipeline.stages.pulls import Crew, run_jobs
+from pipeline.stages.pulls import Crew, PullQueue, run_jobs
 from pipeline.stages.strength import TensileJob, read_result, run_jobs_here, written_files
 
 logger = logging.getLogger(__name__)
@@ -96,6 +96,8 @@ class StagedRun:
         self.workers = workers or max(1, machine.processor_cores() // ranks)
         self.progress = progress or Progress()
         self._solid = solid
+        self._keys: dict[str, Test] = {}  # of what is pulled
+        self._foreseen: tuple[dict[str, float], int] | None = None
 
     def run(self) -> list[SummaryRow]:
         """Every stage for every alloy, immersion time and way of holding.
@@ -109,13 +111,15 @@ class StagedRun:
             )
         names = [alloy.name for alloy in self.scene.alloys]
         tests = [(n, moment, h) for h in self.scene.holds for n in names for moment in times]
-        with self._children(tests):
+        with self._children(tests), self._pulling(tests) as pull:
             self.geometry()
+            pull(self._known_intact(tests), mapped=False)
             for name in names:
                 self.corrode(name)
-            for test in tests:
-                self.map(*test)
-            self.pull(tests)
+                of_alloy = [test for test in tests if test[0] == name]
+                for test in of_alloy:
+                    self.map(*test)
+                pull(of_alloy)
         rows = self.summarise()
         self.report()
         return rows
@@ -135,6 +139,57 @@ class StagedRun:
                 yield
             finally:
                 self.crew = given
+
+    @contextmanager
+    def _pulling(self, tests: list[Test]) -> Iterator[Callable[..., None]]:
+        """What takes tests of a run that can be pulled, and pulls them beside the rest of it.
+
+        Where tests or marches have ranks, tests wait for the end of the block.
+        """
+        self._warn(tests)
+        if self.pull_here or self.ranks > 1 or self.march_ranks > 1:
+            waiting: list[Test] = []
+            yield lambda some, mapped=True: waiting.extend(some if mapped else [])
+            self._pull(waiting)
+            return
+        queue, taken = PullQueue(**self._how_to_pull()), set()
+
+        def take(some: list[Test], mapped: bool = True) -> None:
+            jobs = self._jobs([test for test in some if test not in taken], mapped)
+            taken.update(some)
+            seconds, queue.at_once = self._expected()
+            queue.add(jobs, {key: seconds[self._keys[key][2].name] for key in jobs})
+
+        with queue.meanwhile():
+            yield take
+
+    def _known_intact(self, tests: list[Test]) -> list[Test]:
+        """The tests of the intact solid, with no damage written where it is not mapped yet.
+
+        At time zero nothing has corroded: they need not wait for a march.
+        """
+        from pipeline.stages.mapping import map_intact
+
+        found = [test for test in tests if test[1].seconds == 0]
+        for test in found:
+            inputs, place = map_hash(self.scene, *test), self._place(test)
+            if not self.folder.complete(place, "map", inputs):
+                self._say_damage("map", place, inputs)
+                self.folder.forget(place, "map")
+                mesh = self.folder.geometry / self.scene.mesh_folder(test[2])
+                map_intact(*test[1:], mesh, place)
+        return found
+
+    def _expected(self) -> tuple[dict[str, float], int]:
+        """Seconds that a test takes by way of holding, and tests that a march leaves room for."""
+        from pipeline.stages.foreseen import pull_seconds, room_beside_march
+        from pipeline.stages.geometry import read_surface
+
+        if self._foreseen is None:
+            solid = self._solid or read_surface(self.folder.geometry)
+            seconds = {h.name: pull_seconds(self.scene, solid, h) for h in self.scene.holds}
+            self._foreseen = seconds, room_beside_march(self.scene, solid, self.workers)
+        return self._foreseen
 
     def geometry(self) -> StageRecord:
         """Solid and tetrahedral meshes."""
@@ -190,17 +245,39 @@ class StagedRun:
 
     def pull(self, tests: Iterable[Test]) -> list[StageRecord]:
         """Tensile tests of alloys after immersion times held in some ways, several at a time."""
+        tests = list(dict.fromkeys(tests))
+        self._warn(tests)
+        return self._pull(tests)
+
+    def _pull(self, tests: list[Test]) -> list[StageRecord]:
+        jobs = self._jobs(tests)
+        how = self._how_to_pull()
+        how["workers"] = min(self.workers, max(1, len(jobs)))
+        run = run_jobs_here if self.pull_here else run_jobs
+        run(jobs, **how)
+        records = [self.folder.read_record(self._place(test), "pull") for test in tests]
+        return [record for record in records if record is not None]
+
+    def _warn(self, tests: Iterable[Test]) -> None:
+        """Say what the cells of the tests get wrong."""
         from pipeline.stages.plan import shear_locking
 
-        tests = {f"pull {test[0]} {test[1].label} {test[2].name}": test for test in tests}
-        for hold in dict.fromkeys(test[2] for test in tests.values()):
+        for hold in dict.fromkeys(test[2] for test in tests):
             for wrong in shear_locking(hold.tensile):
                 self.progress.note(f"{wrong.reason}: {wrong.error}; better --element P2")
+
+    def _jobs(self, tests: Iterable[Test], mapped: bool = True) -> dict[str, TensileJob]:
+        """The tests that are not complete, by key; their records are dropped.
+
+        mapped: whether the map stage of each must be complete.
+        """
         jobs: dict[str, TensileJob] = {}
-        for key, test in tests.items():
-            alloy, _, hold = test
-            folder = self._place(test)
-            self._needs("map", folder, map_hash(self.scene, *test))
+        for test in tests:
+            alloy, moment, hold = test
+            key, folder = f"pull {alloy} {moment.label} {hold.name}", self._place(test)
+            self._keys[key] = test
+            if mapped:
+                self._needs("map", folder, map_hash(self.scene, *test))
             inputs = pull_hash(self.scene, *test)
             if self.folder.complete(folder, "pull", inputs):
                 self.progress.reused(key)
@@ -214,29 +291,29 @@ class StagedRun:
                 material=self.scene.alloy(alloy).material,
                 tensile=hold.tensile,
             )
+        return jobs
 
-        def finished(key: str, seconds: float) -> None:
-            folder = self._place(tests[key])
-            inputs = pull_hash(self.scene, *tests[key])
-            outcome = (written_files(folder), read_result(folder))
-            self._complete("pull", folder, inputs, seconds, outcome)
-            if str(outcome[1]["status"]).startswith("stopped"):
-                self.progress.note(f"{key}: {outcome[1]['status']}; its peak is a lower bound")
-            self.progress.finished(key, seconds)
+    def _how_to_pull(self) -> dict[str, object]:
+        """Processes and observers of tests (PullQueue)."""
+        return {
+            "ranks": self.ranks,
+            "workers": self.workers,
+            "started": self.progress.started,
+            "advanced": self.progress.advanced,
+            "finished": self._pulled_in,
+            "keep": self.folder.descriptors,
+            "crew": self.crew,
+        }
 
-        run = run_jobs_here if self.pull_here else run_jobs
-        run(
-            jobs,
-            ranks=self.ranks,
-            workers=min(self.workers, max(1, len(jobs))),
-            started=self.progress.started,
-            advanced=self.progress.advanced,
-            finished=finished,
-            keep=self.folder.descriptors,
-            crew=self.crew,
-        )
-        records = [self.folder.read_record(self._place(test), "pull") for test in tests.values()]
-        return [record for record in records if record is not None]
+    def _pulled_in(self, key: str, seconds: float) -> None:
+        """Write the record of a test that has ended."""
+        test = self._keys[key]
+        folder = self._place(test)
+        outcome = (written_files(folder), read_result(folder))
+        self._complete("pull", folder, pull_hash(self.scene, *test), seconds, outcome)
+        if str(outcome[1]["status"]).startswith("stopped"):
+            self.progress.note(f"{key}: {outcome[1]['status']}; its peak is a lower bound")
+        self.progress.finished(key, seconds)
 
     def summarise(self) -> list[SummaryRow]:
         """Write summary.csv from the finished stages and return its rows."""

@@ -53,7 +53,8 @@ def _cut(polygon: NDArray, count: int, axis: int, at: float, keep: float, out: N
         j = (i + 1) % count
         a, b = keep * (polygon[i, axis] - at), keep * (polygon[j, axis] - at)
         if a >= 0:
-            out[found] = polygon[i]
+            for k in range(3):
+                out[found, k] = polygon[i, k]
             found += 1
         if (a > 0 and b < 0) or (a < 0 and b > 0):
             share = a / (a - b)
@@ -88,21 +89,26 @@ def _add(corners: NDArray, own: NDArray, below: NDArray) -> None:
         np.empty((_CORNERS, 3)), np.empty((_CORNERS, 3)), np.empty((_CORNERS, 3)),
         np.empty((_CORNERS, 3)),
     )  # fmt: skip
+    # not as literals, for each of which Numba would compile the functions above anew
+    axes = np.arange(3)
+    x, y, z = axes[0], axes[1], axes[2]
     for t in range(len(corners)):
-        triangle[:3] = corners[t]
-        first_y, last_y = _range(triangle, 3, 1, own.shape[1])
+        for m in range(3):
+            for n in range(3):
+                triangle[m, n] = corners[t, m, n]
+        first_y, last_y = _range(triangle, 3, y, own.shape[1])
         for j in range(first_y, last_y + 1):
-            in_row = _slab(triangle, 3, 1, j, spare, row)
+            in_row = _slab(triangle, 3, y, j, spare, row)
             if in_row < 3:
                 continue
-            first_z, last_z = _range(row, in_row, 2, own.shape[2])
+            first_z, last_z = _range(row, in_row, z, own.shape[2])
             for k in range(first_z, last_z + 1):
-                in_line = _slab(row, in_row, 2, k, spare, line)
+                in_line = _slab(row, in_row, z, k, spare, line)
                 if in_line < 3:
                     continue
-                first_x, last_x = _range(line, in_line, 0, own.shape[0])
+                first_x, last_x = _range(line, in_line, x, own.shape[0])
                 for i in range(first_x, last_x + 1):
-                    count = _slab(line, in_line, 0, i, spare, piece)
+                    count = _slab(line, in_line, x, i, spare, piece)
                     for m in range(1, count - 1):
                         ay, az = piece[m, 1] - piece[0, 1], piece[m, 2] - piece[0, 2]
                         by, bz = piece[m + 1, 1] - piece[0, 1], piece[m + 1, 2] - piece[0, 2]

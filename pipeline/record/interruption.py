@@ -31,7 +31,12 @@ def held() -> Iterator[None]:
     """Within, a request to end is remembered only; it is raised at the end.
 
     For work that calls Python from C, such as a fork, where an exception would be printed and lost.
+    Only the main thread gets such exceptions; in another one nothing is held.
     """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        check()
+        return
     _held.set()
     try:
         yield

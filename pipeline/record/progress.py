@@ -66,7 +66,9 @@ class LineProgress(Progress):
         self._started: dict[str, float] = {}
 
     def _line(self, text: str) -> None:
-        print(f"[{time.monotonic() - self._begin:7.1f} s] {text}", file=self._stream, flush=True)
+        # in one piece: pulls are told from a thread of their own
+        self._stream.write(f"[{time.monotonic() - self._begin:7.1f} s] {text}\n")
+        self._stream.flush()
 
     def started(self, key: str) -> None:
         self._started[key] = self._last[key] = time.monotonic()
@@ -156,7 +158,8 @@ class LogProgress(Progress):
 
     def _line(self, event: str, **values: object) -> None:
         entry = {"at": utc_now(), "event": event, **values}
-        print(json.dumps(entry, ensure_ascii=False), file=self._file, flush=True)
+        self._file.write(json.dumps(entry, ensure_ascii=False) + "\n")  # in one piece, as above
+        self._file.flush()
 
     def started(self, key: str) -> None:
         self._line("started", what=key)

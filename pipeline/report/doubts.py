@@ -4,7 +4,8 @@ import numpy as np
 
 from pipeline.record.run_results import AlloyResult, ImmersionResult, RunResults, column
 from pipeline.report.wording import duration, percent
-from pipeline.scene.errors import corrosion_error, tensile_error
+from pipeline.scene.errors import MEASURED, corrosion_error, tensile_error
+from pipeline.scene.holding import HOLDINGS
 from pipeline.scene.loads import LOADS
 from pipeline.scene.resolution import RESOLUTIONS
 from pipeline.scene.resolve import DEFAULT_PARAMETER_SET
@@ -212,15 +213,25 @@ def _strength_error(run: RunResults, hold: HoldScene) -> str:
     if known is None:
         return (
             f"The discretisation error of the strength left held by {hold.name} has not been "
-            "measured for this solid, mesh, element and increment, only for the shank of the "
-            "reference screw with those of the presets."
+            "measured for this solid, mesh, element and increment, only for the reference screw "
+            f"with those of the presets ({', '.join(('shank', *MEASURED))})."
         )
-    scene = run.scene
+    scene, part = run.scene, HOLDINGS[hold.name].part
     same = all(a.name in known.alloys for a in scene.alloys)
     where = "" if same else ", not here"
     latest = duration(parse_time(known.latest).seconds)
+    if known.parts:
+        parts = ", ".join(
+            f"{percent(sum(both), 1)} for {alloy} ({percent(both[0], 1)} by mesh, "
+            f"{percent(both[1], 1)} by increments)"
+            for alloy, both in known.parts.items()
+        )
+        return (
+            f"The strength left of {part} is off by about {parts}, measured after {latest} on the "
+            f"reference screw with {known.settings}{where}: `{known.command}`."
+        )
     return (
-        f"The strength left of the shank is off by at most {percent(known.error, 1)} of its value "
+        f"The strength left of {part} is off by at most {percent(known.error, 1)} of its value "
         f"because mesh and increments of the tensile test are finite, measured up to {latest} "
         f"on the reference screw of {' and '.join(known.alloys)}{where}; "
         "what the error of the volume loss does to it comes on top."
@@ -252,18 +263,12 @@ def in_short(run: RunResults, assumed: int) -> str:
     elif known is not None:
         most = max(known.of(alloy.name) for alloy in run.scene.alloys)
         error = f"discretisation error of the volume loss up to {percent(most, 1)}"
-        tensile = tensile_error(run.scene, run.scene.holds[0])
-        if tensile is None:
-            error += ", of the strength not measured for these settings"
-        else:
-            error += f", of the strength left of the shank up to {percent(tensile.error, 1)}"
+        error += _strength_in_short(run) or ", of the strength not measured for these settings"
     elif own := own_errors(run):
         most = max(own.values())
         error = f"discretisation error of the volume loss about {percent(most, 1)} by its own check"
         error += ", which does not look at the liquid" * bool(_with_liquid(run))
-        tensile = tensile_error(run.scene, run.scene.holds[0])
-        if tensile is not None:
-            error += f", of the strength left of the shank up to {percent(tensile.error, 1)}"
+        error += _strength_in_short(run)
     values = "value is" if assumed == 1 else "values are"
     seconds = sum(record.seconds for _, record in run.records)
     cost = f" The stages took {format_seconds(seconds)} in sum." if seconds else ""
@@ -271,6 +276,22 @@ def in_short(run: RunResults, assumed: int) -> str:
         f"Resolution {settings_name(run.scene)}; {error}, and {assumed} {values} assumed, fitted "
         f"or known to be wrong.{cost}"
     )
+
+
+def _strength_in_short(run: RunResults) -> str:
+    """The error of the strength left in each way of holding; nothing where none was measured."""
+    if run.scene.tensile.load != "axial":
+        return ""
+    errors = {hold.name: tensile_error(run.scene, hold) for hold in run.scene.holds}
+    if not any(errors.values()):
+        return ""
+    names = [alloy.name for alloy in run.scene.alloys]
+    said = ", ".join(
+        f"of {HOLDINGS[hold].part} "
+        + ("not measured" if known is None else f"up to {percent(max(map(known.of, names)), 1)}")
+        for hold, known in errors.items()
+    )
+    return f", of the strength left {said}"
 
 
 def twice_as_sure(run: RunResults) -> str:

@@ -62,8 +62,9 @@ def all_sources(run: RunResults, one: HoldDoubts) -> list[Source]:
         bound = abs(one.slope) * own[one.alloy] * one.volume_loss
         basis = f"about {percent(own[one.alloy], 2)} of the volume loss by the run's own check"
     sources.append(_bounded("lattice and time steps", bound, one.strength_left, basis))
-    bound = None if mesh is None else mesh.error * one.strength_left
-    basis = unknown if mesh is None else f"{percent(mesh.error, 1)} of the strength left at most"
+    error = None if mesh is None else mesh.of(one.alloy)
+    bound = None if error is None else error * one.strength_left
+    basis = unknown if error is None else f"{percent(error, 1)} of the strength left at most"
     sources.append(_bounded("mesh and increments", bound, one.strength_left, basis))
     return [*sources, _grips(run, one)]
 

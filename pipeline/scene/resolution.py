@@ -7,7 +7,7 @@ test from presets_tensile.toml (`perilife study tensile`).
 
 import tomllib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from perilife_data import did_you_mean
@@ -47,14 +47,22 @@ class TensileError:
 
     error: largest over alloys and immersion times, mesh and increment together; alloys: those
     measured; latest: the last immersion time measured, as typed; processor_seconds: of the longest
-    test; command: what measured it.
+    test, None where it was not noted; command: what measured it; parts: by mesh and by increments
+    of each alloy, where they were measured apart; settings: those of the measurement that a scene
+    may have otherwise, in words.
     """
 
     error: float
     alloys: tuple[str, ...]
     latest: str
-    processor_seconds: float
+    processor_seconds: float | None
     command: str
+    parts: dict[str, tuple[float, float]] = field(default_factory=dict)
+    settings: str = ""
+
+    def of(self, alloy: str) -> float:
+        """The error for an alloy; where it was not measured apart, the largest."""
+        return sum(self.parts[alloy]) if alloy in self.parts else self.error
 
 
 @dataclass(frozen=True)

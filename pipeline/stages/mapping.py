@@ -6,7 +6,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from fem.quadrature import quadrature_points, sampling_points
+from fem.quadrature import find_element, quadrature_points, sampling_points
 from peri.corrosion.results import read_corrosion
 from pipeline.geometry.mesh import read_mesh
 from pipeline.scene.scene import HoldScene, Scene
@@ -68,6 +68,19 @@ def map_in_folder(
         damage = ((damage * weights).sum(axis=1) / weights.sum(axis=1))[:, None]
     write_damage(out / DAMAGE_FILE, damage, moment, hold.tensile.element, exponent)
     return [out / DAMAGE_FILE], numbers
+
+
+def map_intact(moment: ImmersionTime, hold: HoldScene, geometry: Path, out: Path) -> None:
+    """Write the damage.h5 of a solid of which nothing has corroded: zeros (nc, nq or 1).
+
+    geometry: folder with the mesh of this way of holding.  It is what `map_in_folder` writes of
+    time zero, which needs no march (tests/end_to_end/test_coarse_run.py).
+    """
+    one_per_cell = hold.tensile.damage == "cell"
+    count = 1 if one_per_cell else find_element(hold.tensile.element).points
+    out.mkdir(parents=True, exist_ok=True)
+    damage = np.zeros((len(read_mesh(geometry).cells), count))
+    write_damage(out / DAMAGE_FILE, damage, moment, hold.tensile.element, 0.0)
 
 
 def _net_section_left(

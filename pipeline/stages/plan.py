@@ -18,6 +18,7 @@ from pipeline.scene.loads import LOADS
 from pipeline.scene.mechanics import TensileScene
 from pipeline.scene.scene import HoldScene, Scene, ScrewGeometry
 from pipeline.scene.units import format_bytes, format_length, format_seconds
+from pipeline.stages.beside import saved
 from pipeline.stages.corrosion import domain_lattice, liquid_domain, march_omissions
 from pipeline.stages.ion_memory import ion_memory
 from pipeline.stages.sizes import check_screw, check_sizes
@@ -53,7 +54,10 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class Plan:
-    """Tasks in their order, omissions, and the totals."""
+    """Tasks in their order, omissions, and the totals.
+
+    seconds: of all together, less than their sum where tests run beside marches.
+    """
 
     tasks: tuple[Task, ...]
     omissions: tuple[LeftOut, ...]
@@ -131,7 +135,7 @@ def make_plan(
         solid = build_solid(scene)
     check_sizes(scene, solid)
     nodes, metal, bonds = _lattice_counts(scene, solid)
-    counts = [_mesh_counts(scene, solid, hold) for hold in scene.holds]
+    counts = [mesh_counts(scene, solid, hold) for hold in scene.holds]
     cells, unknowns, quadrature = (max(numbers) for numbers in zip(*counts, strict=True))
     workers = workers or max(1, machine.processor_cores() // ranks)
     times = scene.with_intact()
@@ -192,18 +196,12 @@ def make_plan(
     at_once = min(workers, pulls)
     for hold, (_, each, _) in zip(scene.holds, counts, strict=True):
         test = hold.tensile
-        increments = 4 + test.final_strain / test.increment  # the first are smaller
-        if ELEMENTS[test.element].order == 1:
-            each_costs = COST.four_node_seconds_per_unknown
-        else:
-            each_costs = COST.tensile_seconds_per_unknown
-            each_costs *= COST.parting if hold.name in PARTING else 1.0
         tasks.append(
             Task(
                 "pull",
                 f"{pulls} {LOADS[test.load].test}s ({hold.name}), {at_once} at a time",
                 f"{each:,} unknowns each ({test.element})",
-                each_costs * each * increments * pulls / at_once,
+                seconds_of_test(hold, each) * pulls / at_once,
                 at_once * (ranks * BASE_MEMORY + COST.tensile_bytes_per_unknown * each),
                 COST.disk_bytes_per_unknown * each * pulls,
                 at_once,
@@ -220,6 +218,7 @@ def make_plan(
             3e6,
         )
     )
+    overlap = saved(tasks, workers, len(scene.alloys), len(times)) if ranks == 1 else 0.0
     return Plan(
         tasks=tuple(tasks),
         omissions=tuple(
@@ -227,10 +226,22 @@ def make_plan(
         ),
         nodes=nodes,
         unknowns=unknowns,
-        seconds=sum(task.seconds for task in tasks),
+        seconds=sum(task.seconds for task in tasks) - overlap,
         memory=max(task.memory for task in tasks),
         disk=sum(task.disk for task in tasks),
     )
+
+
+def seconds_of_test(hold: HoldScene, unknowns: int) -> float:
+    """How long one test of so many unknowns is expected to take, s."""
+    test = hold.tensile
+    increments = 4 + test.final_strain / test.increment  # the first are smaller
+    if ELEMENTS[test.element].order == 1:
+        each_costs = COST.four_node_seconds_per_unknown
+    else:
+        each_costs = COST.tensile_seconds_per_unknown
+        each_costs *= COST.parting if hold.name in PARTING else 1.0
+    return each_costs * unknowns * increments
 
 
 def _ion_cost(scene: Scene, times: int) -> tuple[float, float]:
@@ -317,7 +328,7 @@ def _smallest(scene: Scene) -> float:
     )
 
 
-def _mesh_counts(scene: Scene, solid: Solid, hold: HoldScene) -> tuple[int, int, int]:
+def mesh_counts(scene: Scene, solid: Solid, hold: HoldScene) -> tuple[int, int, int]:
     """Cells, displacement unknowns and quadrature points that the mesh sizes will give.
 
     Fitted to the meshes of `perilife study tensile` and `perilife bench tensile-published`, 2,536

@@ -1,5 +1,7 @@
 """Pulls in child processes, several at a time, so that a crash of one never touches the others.
 
+A `PullQueue` takes tests while others run, and this process may do something else meanwhile.
+
 A child on one rank is kept for the next pull: importing and loading what a test needs costs as much
 as a fifth of it.  Tests on several ranks have an mpirun each.  Both are
 `python -m pipeline.stages.pulls`.
@@ -8,9 +10,11 @@ as a fifth of it.  Tests on several ranks have an mpirun each.  Both are
 import logging
 import subprocess
 import sys
+import threading
 import time
 import traceback
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -59,29 +63,38 @@ class Crew:
         self._preparing = self.worker()
         self._preparing.begin({"prepare": sorted(set(elements))})
 
-    def _prepared(self) -> None:
-        """Wait for the child of `prepare`, so that no second one compiles the same."""
+    def ready(self) -> bool:
+        """Whether no child compiles; a second one that began a test now would compile the same."""
         if self._preparing is None:
-            return
-        while not self._preparing.answered():
-            interruption.check()
-            time.sleep(POLL_SECONDS)
+            return True
+        if not self._preparing.answered():
+            return False
         try:
             self._preparing.answer()
         except WorkerEndedError as error:  # where a test needs what failed, that test says so
             logger.info("nothing was compiled ahead: %s", error)
         self.idle.append(self._preparing)
         self._preparing = None
+        return True
 
     def worker(self) -> Worker:
         """A child that waits, or a new one."""
-        self._prepared()
         while self.idle:
             worker = self.idle.pop(0)
             if worker.alive():
                 return worker
             worker.close()
         return Worker(_MODULE, self._environment, self._start)
+
+    def members(self) -> list[Worker]:
+        """The children that wait or compile."""
+        return [*self.idle, *filter(None, [self._preparing])]
+
+    def close(self, workers: Iterable[Worker]) -> None:
+        """End children that wait."""
+        for worker in workers:
+            self.idle.remove(worker)
+            worker.close()
 
     def __enter__(self) -> "Crew":
         return self
@@ -132,81 +145,166 @@ class _Kept:
         self.worker.close()
 
 
-def run_jobs(
-    jobs: dict[str, TensileJob],
-    ranks: int = 1,
-    workers: int = 1,
-    started: Callable[[str], None] = lambda key: None,
-    advanced: Callable[[str, float], None] = lambda key, fraction: None,
-    finished: Callable[[str, float], None] = lambda key, seconds: None,
-    keep: tuple[int, ...] = (),
-    crew: Crew | None = None,
-) -> None:
-    """Run jobs in child processes, `workers` at a time with `ranks` ranks each.
+class PullQueue:
+    """Tests that wait, those expected to take longest first, and those that run in children.
 
-    keep: descriptors that the processes inherit, the lock of the run folder (children.start).
-    crew: the children for tests on one rank, where they are to be kept after the last one.
-    The callbacks are called in this process with the job's key.  When one job fails the others
-    that run are allowed to end, then TensileStageError is raised; when this process is
-    interrupted all children are ended first, and when it is killed they end with it.
+    ranks: of each test; workers: tests at a time; keep: descriptors that the processes inherit, the
+    lock of the run folder (children.start); crew: the children for tests on one rank, where they
+    are to be kept after the last one.  The callbacks are called with the key of a test, in the
+    thread that does the tests.
     """
-    own = Crew(workers, keep)
-    crew = crew or own
-    command = _launcher(ranks)
-    waiting = list(jobs.items())
-    running: list[_Alone | _Kept] = []
-    failures: list[str] = []
 
-    def begin(key: str, job: TensileJob) -> _Alone | _Kept:
+    def __init__(
+        self,
+        ranks: int = 1,
+        workers: int = 1,
+        started: Callable[[str], None] = lambda key: None,
+        advanced: Callable[[str, float], None] = lambda key, fraction: None,
+        finished: Callable[[str, float], None] = lambda key, seconds: None,
+        keep: tuple[int, ...] = (),
+        crew: Crew | None = None,
+    ) -> None:
+        self.workers, self.at_once = workers, workers
+        self._started, self._advanced, self._finished = started, advanced, finished
+        self._command, self._keep = _launcher(ranks), keep
+        self._surroundings = _environment(ranks, workers)
+        self._own = Crew(workers, keep)
+        self._crew = crew or self._own
+        self._waiting: list[tuple[float, str, TensileJob]] = []
+        self._running: list[_Alone | _Kept] = []
+        self._failures: list[str] = []
+        self._change = threading.Lock()
+        self._stop = threading.Event()
+
+    def add(
+        self, jobs: Mapping[str, TensileJob], seconds: Mapping[str, float] | None = None
+    ) -> None:
+        """Let tests wait; seconds: how long each is expected to take, in any unit."""
+        expected = seconds or {}
+        with self._change:
+            self._waiting += [(-expected.get(key, 0.0), key, job) for key, job in jobs.items()]
+            self._waiting.sort(key=lambda entry: entry[0])  # stable: else in their order
+
+    def finish(self) -> None:
+        """Do all tests that wait, in this thread.
+
+        When one fails the others that run are allowed to end, then TensileStageError is raised;
+        when this process is interrupted, all children are ended first, and when it is killed, they
+        end with it.
+        """
+        try:
+            while self._step():
+                time.sleep(POLL_SECONDS)
+        finally:
+            self._end()
+        self._raise_failures()
+
+    @contextmanager
+    def meanwhile(self) -> Iterator[None]:
+        """Do tests beside the block, `at_once` at a time, and what is left after it, as `finish`.
+
+        None at a time until the block sets `at_once`.  Where the block fails or is interrupted, the
+        tests that run are ended.
+        """
+        self.at_once, last = 0, threading.Event()
+        trouble: list[BaseException] = []
+
+        def work() -> None:
+            mine = self._crew.members()
+            try:
+                while self._step() or not last.is_set():
+                    time.sleep(POLL_SECONDS)
+            except BaseException as error:
+                trouble.append(error)
+            finally:
+                self._end()
+                # what this thread started would be killed at its end (children.start)
+                self._crew.close([w for w in self._crew.idle if w not in mine])
+
+        thread = threading.Thread(target=work, name="pulls")
+        thread.start()
+        try:
+            yield
+            self.at_once = self.workers
+            last.set()
+            while thread.is_alive():
+                thread.join(POLL_SECONDS)
+                interruption.check()
+        finally:
+            self._stop.set()
+            last.set()
+            thread.join()
+        if trouble:
+            raise trouble[0]
+        self._raise_failures()
+
+    def _step(self) -> bool:
+        """Begin what can begin, look at what runs; whether there is anything left of either."""
+        interruption.check()
+        if self._stop.is_set():
+            return False
+        while len(self._running) < self.at_once and self._crew.ready():
+            with self._change:
+                if self._failures or not self._waiting:
+                    break
+                _, key, job = self._waiting.pop(0)
+            self._running.append(self._begin(key, job))
+            self._started(key)
+        for item in list(self._running):
+            code = item.poll()
+            if code is None:
+                self._advanced(item.key, _read_fraction(Path(item.job.out)))
+                continue
+            self._running.remove(item)
+            # at once: a run that is killed later keeps this test and would keep the file
+            (Path(item.job.out) / PROGRESS_FILE).unlink(missing_ok=True)
+            if isinstance(item, _Kept):
+                self._crew.idle.append(item.worker)
+            if code == 0:
+                self._finished(item.key, time.monotonic() - item.started)
+            else:
+                self._failures.append(_failure(item, code))
+        return bool(self._running) or (bool(self._waiting) and not self._failures)
+
+    def _begin(self, key: str, job: TensileJob) -> _Alone | _Kept:
         log = Path(job.out) / LOG_FILE
         log.unlink(missing_ok=True)
-        if command is None:
-            return _Kept(key, job, crew.worker())
+        if self._command is None:
+            return _Kept(key, job, self._crew.worker())
         forget_others(job)
         with open(log, "wb") as said:
             return _Alone(
                 key,
                 job,
                 children.start(
-                    [*command, str(job.write())],
+                    [*self._command, str(job.write())],
                     launcher=True,
-                    keep=keep,
+                    keep=self._keep,
                     stdout=said,
                     stderr=subprocess.STDOUT,
                     stdin=subprocess.DEVNULL,
-                    env=_environment(ranks, workers),
+                    env=self._surroundings,
                 ),
             )
 
-    try:
-        while running or (waiting and not failures):
-            while waiting and not failures and len(running) < workers:
-                running.append(begin(*waiting.pop(0)))
-                started(running[-1].key)
-            time.sleep(POLL_SECONDS)
-            interruption.check()
-            for item in list(running):
-                code = item.poll()
-                if code is None:
-                    advanced(item.key, _read_fraction(Path(item.job.out)))
-                    continue
-                running.remove(item)
-                # at once: a run that is killed later keeps this test and would keep the file
-                (Path(item.job.out) / PROGRESS_FILE).unlink(missing_ok=True)
-                if isinstance(item, _Kept):
-                    crew.idle.append(item.worker)
-                if code == 0:
-                    finished(item.key, time.monotonic() - item.started)
-                else:
-                    failures.append(_failure(item, code))
-    finally:
-        for item in running:
+    def _end(self) -> None:
+        """End what runs, and the children that nobody keeps."""
+        for item in self._running:
             item.end()
-        own.__exit__()
-        for job in jobs.values():
-            (Path(job.out) / PROGRESS_FILE).unlink(missing_ok=True)
-    if failures:
-        raise TensileStageError("; ".join(failures))
+            (Path(item.job.out) / PROGRESS_FILE).unlink(missing_ok=True)
+        self._running.clear()
+        self._own.__exit__()
+
+    def _raise_failures(self) -> None:
+        if self._failures:
+            raise TensileStageError("; ".join(self._failures))
+
+
+def run_jobs(jobs: Mapping[str, TensileJob], **how: object) -> None:
+    """Do tests in child processes; how: of PullQueue, whose `finish` says what is raised."""
+    queue = PullQueue(**how)
+    queue.add(jobs)
+    queue.finish()
 
 
 def _environment(ranks: int, workers: int) -> dict[str, str]:

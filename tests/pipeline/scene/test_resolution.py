@@ -8,6 +8,7 @@ import pytest
 
 from pipeline.report import doubts
 from pipeline.scene.classes import WANTED
+from pipeline.scene.errors import strength_error
 from pipeline.scene.resolution import (
     PRESETS_FILE,
     RESOLUTIONS,
@@ -112,20 +113,36 @@ def test_the_report_quotes_the_tensile_error_of_the_preset_used(name):
     assert error not in doubts.in_short(other, 3)
 
 
+def test_each_way_of_holding_has_the_error_that_was_measured_of_it():
+    run = run_of(hold=["all"])
+    text = doubts.error_estimate(run)
+    assert "slotted section is off by about 4.0 % for Mg-5Gd (3.0 % by mesh, 1.0 % by incr" in text
+    assert "4.2 % for Mg-10Gd" in text and "25.0 % for Mg-10Gd" in text
+    assert "`perilife run --alloy Mg-5Gd Mg-10Gd --immersion 24w --hold faces`" in text
+    assert [strength_error(run.scene, hold) for hold in run.scene.holds] == pytest.approx(
+        [RESOLUTIONS["quick"].tensile_error.error, 0.042, 0.25]
+    )
+    assert "slotted section up to 4.2 %, of the layer at the end f" in doubts.in_short(run, 3)
+    finer = run_of(hold=["shank", "slot"], resolution_name="standard")
+    text = doubts.error_estimate(finer)
+    assert "held by slot has not been measured" in text and "the shank is off by" in text
+    assert "of the slotted section not measured" in doubts.in_short(finer, 3)
+
+
 @pytest.mark.parametrize(
     "changes",
     [
         {"mesh_size": 0.19e-3},
         {"tensile": {"damage": "point"}},
         {"tensile": {"increment": 0.03}},
-        {"tensile": {"bottom_grip": 0.0, "top_grip": 0.0}},
+        {"tensile": {"bottom_grip": 0.5e-3, "top_grip": 0.5e-3}},
     ],
 )
 def test_other_tensile_settings_do_not_borrow_the_error_of_a_preset(changes):
     run = run_of(**changes)
     text = doubts.error_estimate(run)
     assert "has not been measured for this solid, mesh, element and increment" in text
-    assert "strength left of the shank is off by" not in text
+    assert "strength left of" not in text.replace("strength left held", "")
     assert "of the strength not measured" in doubts.in_short(run, 3)
 
 

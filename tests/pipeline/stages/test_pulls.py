@@ -1,13 +1,14 @@
 """Pulls in children: side by side, kept for the next, named when they fail, ended when asked."""
 
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
 from pipeline.scene.scene import MaterialParameters, TensileScene
 from pipeline.stages import pulls
-from pipeline.stages.pulls import Crew, TensileStageError, run_jobs
+from pipeline.stages.pulls import Crew, PullQueue, TensileStageError, run_jobs
 from pipeline.stages.strength import TensileJob
 
 PRETENDING = "tests.pipeline.stages.pretending"
@@ -110,6 +111,68 @@ def test_a_child_that_compiles_ahead_then_pulls_and_its_failure_costs_no_test(
         crew.prepare([element])
         left = crew._preparing.process
     assert left.poll() is not None
+
+
+def test_the_longest_come_first_and_equal_ones_in_their_order(tmp_path, way):
+    begun = []
+    queue = PullQueue(started=begun.append)
+    queue.add({name: job(tmp_path / name) for name in "ab"}, {"a": 1.0, "b": 1.0})
+    queue.add({name: job(tmp_path / name) for name in "cde"}, {"c": 2.0, "d": 0.5, "e": 1.0})
+    queue.finish()
+    assert begun == ["c", "a", "b", "e", "d"]
+
+
+def test_tests_are_done_beside_other_work_and_what_is_left_after_it(tmp_path, way):
+    done, during = [], []
+    queue = PullQueue(workers=2, finished=lambda key, seconds: done.append(key))
+    with queue.meanwhile():
+        queue.add({name: job(tmp_path / name) for name in "abcd"})
+        time.sleep(0.3)
+        assert done == []  # nobody has said that there is room
+        queue.at_once = 1
+        while len(done) < 2:
+            time.sleep(0.05)
+            during.append(len(queue._running))
+    assert max(during) == 1 and done[:2] == ["a", "b"] and sorted(done) == ["a", "b", "c", "d"]
+
+
+def test_work_that_fails_ends_the_tests_beside_it(tmp_path, way):
+    note = tmp_path / "hanging" / "pid"
+    queue = PullQueue()
+    with pytest.raises(ValueError, match="no steel"), queue.meanwhile():
+        queue.at_once = 1
+        queue.add({"a": job(tmp_path / "hanging")})
+        while not (note.exists() and note.read_text()):
+            time.sleep(0.05)
+        raise ValueError("no steel")
+    status = Path("/proc", note.read_text(), "stat")
+    assert not status.exists() or " Z " in status.read_text()
+
+
+def test_a_test_that_fails_beside_other_work_is_named_after_it(tmp_path, way):
+    queue, done = PullQueue(), []
+    with pytest.raises(TensileStageError, match="bad ended with exit status 1"), queue.meanwhile():
+        queue.at_once = 1
+        queue.add({name: job(tmp_path / name) for name in ("bad", "never")})
+        while not queue._failures:
+            time.sleep(0.05)
+        done.append("the march")
+    assert done == ["the march"]
+    assert not (tmp_path / "never" / "by").exists()
+
+
+def test_a_crew_keeps_no_child_that_ends_with_the_thread(tmp_path, monkeypatch):
+    monkeypatch.setattr(pulls, "_MODULE", PRETENDING)
+    with Crew(2) as crew:
+        crew.prepare(["P2"])
+        first = crew._preparing
+        queue = PullQueue(workers=2, crew=crew)
+        with queue.meanwhile():
+            queue.at_once = 2
+            queue.add({name: job(tmp_path / name) for name in "ab"})
+        assert crew.idle == [first] and first.alive()
+        children = {int((tmp_path / name / "by").read_text()) for name in "ab"}
+        assert len(children) == 2 and first.process.pid in children
 
 
 def test_a_test_that_cannot_be_done_leaves_its_reason_in_the_log(tmp_path):

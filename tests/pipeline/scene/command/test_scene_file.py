@@ -48,6 +48,16 @@ def hashes(scene: Scene) -> list[str]:
     ]
 
 
+def test_no_file_is_written_for_an_alloy_that_is_not_known(tmp_path, capsys) -> None:
+    for name, said in (("Unobtainium", "known are"), ("Mg-5GD", "did you mean Mg-5Gd?")):
+        assert main(["init", "--alloy", "Mg-10Gd", name]) == 2
+        printed, told = capsys.readouterr()
+        assert printed == ""
+        assert told.count("\n") == 1 and f"alloy '{name}' is unknown" in told and said in told
+    assert main(["init", "--alloy", str(tmp_path / "none.toml")]) == 2
+    assert capsys.readouterr().out == ""
+
+
 def test_a_file_says_what_the_options_say(tmp_path, capsys) -> None:
     path = written(capsys, tmp_path / "scene.toml", *OPTIONS)
     by_file, by_options = asked(str(path)), asked(*OPTIONS)
@@ -66,6 +76,8 @@ def test_every_option_comes_back_from_a_file(tmp_path, capsys) -> None:
     given = []
     for name, action in options_of(every_option()).items():
         words, value = typed(action)
+        if name == "alloy":  # which must be known
+            words = value = ["Mg", "WE43"]
         given += [action.option_strings[-1], *words]
         assert action.default != value, name
     path = written(capsys, tmp_path / "scene.toml", *given)
