@@ -1,14 +1,27 @@
-"""Tests that run beside a march: how many fit, and what that takes off the time of a run."""
+"""The pieces of a plan, and tests beside a march: how many fit, and the time that they save."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 from pipeline.record import machine
 
-if TYPE_CHECKING:
-    from pipeline.stages.plan import Task
+
+@dataclass(frozen=True)
+class Task:
+    """One piece of the plan: what it is, its size in words, seconds and bytes expected.
+
+    memory: of all processes together, `at_once` of like size.
+    """
+
+    stage: str
+    what: str
+    size: str
+    seconds: float
+    memory: float
+    disk: float
+    at_once: int = 1
 
 
 def room(tasks: Sequence[Task], workers: int) -> int:

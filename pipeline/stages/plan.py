@@ -18,29 +18,13 @@ from pipeline.scene.loads import LOADS
 from pipeline.scene.mechanics import TensileScene
 from pipeline.scene.scene import HoldScene, Scene, ScrewGeometry
 from pipeline.scene.units import format_bytes, format_length, format_seconds
-from pipeline.stages.beside import saved
+from pipeline.stages.beside import Task, saved
 from pipeline.stages.corrosion import domain_lattice, liquid_domain, march_omissions
 from pipeline.stages.ion_memory import ion_memory
 from pipeline.stages.sizes import check_screw, check_sizes
 
 BASE_MEMORY = 400e6
 """Bytes of an idle process with the libraries loaded (measured)."""
-
-
-@dataclass(frozen=True)
-class Task:
-    """One piece of the plan: what it is, its size in words, seconds and bytes expected.
-
-    memory: of all processes together, `at_once` of like size.
-    """
-
-    stage: str
-    what: str
-    size: str
-    seconds: float
-    memory: float
-    disk: float
-    at_once: int = 1
 
 
 @dataclass(frozen=True)

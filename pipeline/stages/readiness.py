@@ -16,7 +16,8 @@ from pipeline.record import children, machine
 from pipeline.scene.checks import at_most
 from pipeline.scene.scene import Scene
 from pipeline.scene.units import format_bytes
-from pipeline.stages.plan import BASE_MEMORY, Plan, Task, make_plan
+from pipeline.stages.beside import Task
+from pipeline.stages.plan import BASE_MEMORY, Plan, make_plan
 from pipeline.stages.sizes import CELLS_PER_FEATURE, typed
 
 PROBE_SECONDS = 120.0

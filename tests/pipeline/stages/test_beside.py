@@ -5,8 +5,7 @@ from collections.abc import Sequence
 import pytest
 
 from pipeline.record import machine
-from pipeline.stages.beside import room, saved
-from pipeline.stages.plan import Task
+from pipeline.stages.beside import Task, room, saved
 
 TIMES = 6
 
