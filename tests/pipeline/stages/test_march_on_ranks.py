@@ -15,7 +15,7 @@ from tests.pipeline.calibration.test_calibrate import COARSE, PIN
 
 RUN = ["--alloy", "Mg-10Gd", "--immersion", "0w", "2w", *PIN, "--spacing", "150um"]
 RUN += ["--horizon", "150um", "--mesh-size", "0.8mm", "--final-strain", "0.02", "--quiet"]
-RUN += ["--keep", "liquid", "far_liquid", "--classes", "0"]
+RUN += ["--keep", "liquid", "far_liquid"]
 
 
 def test_what_one_process_computes_is_refused_on_ranks(tmp_path, capsys):
