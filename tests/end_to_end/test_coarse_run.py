@@ -264,7 +264,7 @@ def test_every_damaged_file_of_a_run_is_named(run, tmp_path):
 def test_damaged_files_are_made_again_with_resume(run, tmp_path):
     out = tmp_path / "run"
     shutil.copytree(run[0], out)
-    for name in ("Mg-5Gd/corrosion/corrosion.h5", "Mg-5Gd/8w/tensile.csv"):
+    for name in ("Mg-5Gd/corrosion/corrosion.h5", "Mg-5Gd/8w/shank/tensile.csv"):
         with open(out / name, "r+b") as file:
             file.truncate(100)
     refused = subprocess.run(
