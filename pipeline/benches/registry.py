@@ -221,7 +221,7 @@ BENCHMARKS: dict[str, Benchmark] = {
         bench_tensile.small_published,
     ),
     "nnpp": Benchmark(
-        "ions, pH and minerals around metal: seconds per step, eight weeks (10 minutes)",
+        "ions, pH and minerals around metal: seconds per step, eight weeks (3 minutes)",
         bench_ions.nnpp,
         bench_ions.small_nnpp,
     ),
@@ -242,7 +242,7 @@ BENCHMARKS: dict[str, Benchmark] = {
         bench_ions.small_published,
     ),
     "friendliness": Benchmark(
-        "what a newcomer meets: times, memory, and other programs' answers (10 minutes)",
+        "what a newcomer meets: times, memory, and other programs' answers (4 minutes)",
         bench_friendliness.friendliness,
         bench_friendliness.small_friendliness,
     ),
