@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,19 +15,20 @@ _LARGEST_EXPONENT = 69.0
 and a Newton iteration that strays there still comes back."""
 
 
-class PolarizationLaw:
+class PolarizationLaw(ABC):
     """A law of the current density by the potential; one file each, one row in POLARIZATION."""
 
+    @abstractmethod
     def current(self, potential: np.ndarray | float) -> np.ndarray:
         """i(E), A/m^2, anodic > 0, cathodic < 0."""
-        raise NotImplementedError(f"{type(self).__name__} has no current")
 
+    @abstractmethod
     def slope(self, potential: np.ndarray | float) -> np.ndarray:
         """di/dE >= 0, A/(m^2 V)."""
-        raise NotImplementedError(f"{type(self).__name__} has no slope")
 
     def check_range(self, potential: np.ndarray | float) -> None:
         """Refuse potentials that the law is not known for (none by default): ValueError."""
+        return None
 
 
 @dataclass(frozen=True)

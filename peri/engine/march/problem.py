@@ -8,6 +8,7 @@ where it has some, `SecondOrder` for u'' = a(u), or plain `Problem` with a stepp
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -90,7 +91,7 @@ class Course:
         self.state, self.iterations = state, iterations
 
 
-class Problem:
+class Problem(ABC):
     """A physics to be marched; see `march`.
 
     processes : who holds which block of the lattice.
@@ -104,21 +105,24 @@ class Problem:
         """Hash of everything that determines the problem (checkpoints.fingerprint)."""
         raise NotImplementedError(f"{type(self).__name__} has no key, which checkpoints need")
 
+    @abstractmethod
     def initial(self) -> State:
         """The state at time 0."""
-        raise NotImplementedError
 
     def restore(self, state: State) -> None:
         """Bring whatever the problem derives from its state in line with a state read back."""
+        return None
 
     def begin(self, state: State) -> None:
         """Forget what earlier steps left behind, so that a step depends on the state alone."""
+        return None
 
     def accept(self, state: State, stages: Sequence[Stage], step: float) -> None:
         """Take an accepted step of `step` s: phases, broken bonds, numbers, in `state`.
 
         `state` is the new one.  May raise ValueError where the physics ends.
         """
+        return None
 
     def row(self, state: State) -> tuple[float, ...]:
         """One number per column."""
@@ -228,16 +232,16 @@ class SecondOrder(Problem):
 
     motions: Mapping[str, str] = {}
 
+    @abstractmethod
     def acceleration(self, state: State) -> Fields:
         """a by displacement field, for the state's displacements, time and (mid-step) velocities.
 
         Zero where a displacement is held.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def limit(self, state: State) -> float:
         """The longest stable step of velocity Verlet, s: 2 over the highest frequency."""
-        raise NotImplementedError
 
     def inner(self, a: np.ndarray, b: np.ndarray) -> float:
         """Inner product of two fields over all processes."""
