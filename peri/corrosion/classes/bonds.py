@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from peri.corrosion.classes.volumes import Volumes
+from peri.corrosion.settling import settled_loss
 
 Array = NDArray[np.float64]
 
@@ -67,26 +68,14 @@ class Bonds(ABC):
         """How fast the classes' life goes (columns.py), <= 0, 1/s."""
 
     def settle(self, liquid: Array, start: float) -> float:
-        """V_L that agrees with the rate it causes, for given liquid; sets the rate.
-
-        What is lost falls as V_L grows in the kinetics, so there is one in [0, 1]: a secant kept
-        inside its bracket.
-        """
+        """V_L that agrees with the rate it causes, for given liquid; sets the rate."""
         self.draw(liquid)
-        loss, low, high = start, 0.0, 1.0
-        last: tuple[float, float] | None = None
-        for _ in range(_TRIALS):
+
+        def loss_at(loss: float) -> float:
             self.set_rate(loss)
-            found = self.cells.volume_loss(self.value())
-            excess = found - loss
-            if abs(excess) <= _SETTLED or high - low <= _SETTLED:
-                break
-            low, high = (loss, high) if excess > 0 else (low, loss)
-            trial = found
-            if last is not None and excess != last[1]:
-                trial = loss - excess * (loss - last[0]) / (excess - last[1])
-            last = loss, excess
-            loss = trial if low < trial < high else 0.5 * (low + high)
+            return self.cells.volume_loss(self.value())
+
+        loss = settled_loss(loss_at, start, _SETTLED, _TRIALS)
         self.settled()
         return loss
 

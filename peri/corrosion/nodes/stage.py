@@ -15,6 +15,7 @@ import numpy as np
 from peri.corrosion.interface import saturation
 from peri.corrosion.interface.exchange import Exchange, FixedPoint
 from peri.corrosion.nodes.rates import InterfaceRates
+from peri.corrosion.settling import settled_loss
 from peri.engine import kernels
 from peri.engine.march.problem import BoundsError
 from peri.engine.solvers import ConvergenceError, DiffusionSystem
@@ -169,29 +170,16 @@ class StageSolver:
         seen_liquid: np.ndarray | None,
         lost: np.ndarray | None,
     ) -> float:
-        """V_L that agrees with the rate it causes, for given liquid concentrations.
+        """V_L that agrees with the rate it causes, for given liquid concentrations."""
+        d = self.d
 
-        The metal's loss falls as V_L grows in the kinetics, so there is one such V_L in [0, 1]: a
-        secant kept inside its bracket.  (The plain fixed point jumps between two wrong values
-        where a step dissolves more than about l.)
-        """
-        d, low, high = self.d, 0.0, 1.0
-        last: tuple[float, float] | None = None
-        for _ in range(_MAXIMUM_ROUNDS):
-            exchange.set(theta, *d.interface_rate(volume_loss, seen_liquid, lost))
-            loss = d.balance.loss_of(exchange.metal_concentration(liquid))
-            if "volume_loss" not in d.scene.needs:
-                return loss  # the rate is that, whatever is lost
-            excess = loss - volume_loss
-            if abs(excess) <= 0.1 * _LOSS_TOLERANCE:
-                break
-            low, high = (volume_loss, high) if excess > 0 else (low, volume_loss)
-            trial = loss
-            if last is not None and excess != last[1]:
-                trial = volume_loss - excess * (volume_loss - last[0]) / (excess - last[1])
-            last = volume_loss, excess
-            volume_loss = trial if low < trial < high else 0.5 * (low + high)
-        return volume_loss
+        def loss_at(loss: float) -> float:
+            exchange.set(theta, *d.interface_rate(loss, seen_liquid, lost))
+            return d.balance.loss_of(exchange.metal_concentration(liquid))
+
+        if "volume_loss" not in d.scene.needs:
+            return loss_at(volume_loss)  # the rate is that, whatever is lost
+        return settled_loss(loss_at, volume_loss, 0.1 * _LOSS_TOLERANCE, _MAXIMUM_ROUNDS)
 
     # --- liquid ---------------------------------------------------------------------------
 
