@@ -13,6 +13,12 @@ from peri.corrosion.kinetics import Exposed
 from peri.corrosion.nodes.bimaterial import BiMaterial
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.cells import around
+from peri.omissions.reduced import ReducedCorrosion, factor_of
+
+_ROUNDS = 30
+"""Of what goes and what then sees liquid, by turns; unsettled after them, there is no bound."""
+_SETTLED = 0.01
+"""Relative growth of what goes in the last round; the factor of two covers the rest."""
 
 
 def front_depth(scene: CorrosionScene, end_time: float) -> float:
@@ -110,3 +116,60 @@ def least_loss(
     steepest = later / first_rate
     left = max(0.0, 0.5 - time * float(rates.max())) * steepest
     return first * left
+
+
+def dissolving_bound(scene: CorrosionScene, end_time: float, problem: Cells) -> tuple[int, float]:
+    """What classes that dissolve change in V_L in clean liquid, relative, and how many they are.
+
+    Frozen rates G (`reduced`) hold until z_1, when the first class begins to go (z the integral of
+    D_int g).  By z, at the end, the volume u of classes whose exposure G z is spent is gone, and
+    the others' rates have become G'; with these others are spent, and so on, until u settles.  A
+    class holds at most the share exp(-G z_1) from z_1 on, so what is lost by z differs by at most
+
+        d = sum (v - u) exp(-G z_1) |G' - G| (z - z_1) + u exp(-G z) + u C_sat / (C_solid - C_sat),
+
+    and by 2 d at equal times: a kinetics that only slows makes up for what is lost too early, z
+    lags by what d is worth, and the loss is concave in z.  V_L is at least that at z_1.  The state
+    is one function of z in any case, whatever D_int and the kinetics.
+
+    Returns
+    -------
+    int, float
+        Classes that begin to go by the end; 2 d / V_L(z_1), infinite where it does not settle.
+    """
+    reduced = ReducedCorrosion.of(scene)
+    found = reduced.volume_loss(
+        scene.bare_time([end_time]), scene.base_interface_diffusivity(), factor_of(scene.kinetics)
+    )
+    end, rates, volume = float(found.exposure[0]), problem.initial_bond_sum, problem.initial_volume
+
+    def left(seen: np.ndarray) -> np.ndarray:
+        life = 1.0 - seen / scene.dissolution.lifetime(scene)
+        return problem.left(scene.solid_concentration * np.exp(-seen), life)
+
+    remaining = left(rates * end)
+    count = int((remaining < volume).sum())
+    if not count:
+        return 0, 0.0
+    early, late = 0.0, end
+    for _ in range(20):
+        middle = 0.5 * (early + late)
+        early, late = (early, middle) if (left(rates * middle) < volume).any() else (middle, late)
+    most, gone = rates, 0.0
+    for _ in range(_ROUNDS):
+        remaining = left(most * end)
+        before, gone = gone, float((volume - remaining).sum())
+        later = problem.moved(remaining)
+        if gone - before <= _SETTLED * gone:
+            break
+        most = np.maximum(most, np.where(remaining > 0, later, 0.0))
+    else:
+        return count, math.inf
+    changed = np.where(remaining > 0, np.abs(later - rates), 0.0)
+    shares = remaining * np.exp(-rates * early) * changed * (end - early)
+    saturated = scene.saturation_concentration
+    rest = np.exp(-rates * end) + saturated / (scene.solid_concentration - saturated)
+    shares += (volume - remaining) * rest
+    least = float(reduced.loss_at([early])[0])
+    share = float(shares.sum() / volume.sum())
+    return count, 2.0 * share / least if least > 0 else math.inf

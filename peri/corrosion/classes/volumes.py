@@ -145,7 +145,7 @@ class Volumes:
         wanted = self.share * self.liquid_bond_sum
         if self.processes.any(grown.any()):
             now = self._seen_metal(self.ahead)
-            self.bond_sum = self._moved(now)
+            self.bond_sum = self._moved(volume, now)
             # Liquid sees less metal as that goes; new liquid what the shares say.
             new = np.divide(grown, self.share, out=np.zeros_like(grown), where=self.share > 0)
             left = np.divide(now, self._at_first, out=np.zeros_like(now), where=self._at_first > 0)
@@ -163,7 +163,11 @@ class Volumes:
             self._at_first = self._front_sum(self.scatter(self.initial_volume))
         return self._front_sum(self.scatter(volume))
 
-    def _moved(self, seen_metal: Array) -> Array:
+    def moved(self, volume: Array) -> Array:
+        """G (n,) of the classes once only `volume` (n,) of them is metal, 1/m^2; nothing is set."""
+        return self._moved(volume, self._seen_metal(volume))
+
+    def _moved(self, volume: Array, seen_metal: Array) -> Array:
         """G of the classes where the surface has moved."""
         columns, front = self.columns, self.columns.front
         assert self._front_sum is not None
@@ -177,10 +181,10 @@ class Volumes:
         before[before < 1e-9 * total] = 0.0
         ratio = np.divide(seen, before, out=np.full_like(seen, np.inf), where=before > 0)
         kept = np.clip(2.0 - ratio, 0.0, 1.0)
-        flux = columns.total(self.volume) * (seen + kept * (exact - before))
+        flux = columns.total(volume) * (seen + kept * (exact - before))
         strength = closed_strength(front.horizon, front.kernel_exponent, front.influence)
         strength /= front.horizon
-        return columns.rates(self.volume, flux, strength, kept, self.initial_bond_sum)
+        return columns.rates(volume, flux, strength, kept, self.initial_bond_sum)
 
     def _balance(self, wanted_liquid: Array) -> None:
         """mu of the classes and nu of the liquid cells (which should see `wanted`), by turns."""
