@@ -25,7 +25,9 @@ class CorrosionResult:
     times : (nt,), s.  concentration : (nt, *lattice.shape), mol/m^3.  volume_loss : (nt,).
     metal : (nt, *lattice.shape) bool, nodes that are still metal.
     history : per step, arrays named as in HISTORY; amounts in mol, balance_error relative to the
-    initial metal, step 0 is the initial state.  wall_time : s.
+    initial metal, step 0 is the initial state.  wall_time : s.  theta : (nt, *lattice.shape),
+    saturation factors of the last stage before each time: below 1 under a salt layer, 0 on what was
+    metal then and out of its reach; None where no stage has them.
     """
 
     scene: CorrosionScene
@@ -35,6 +37,7 @@ class CorrosionResult:
     volume_loss: np.ndarray
     history: dict[str, np.ndarray]
     wall_time: float
+    theta: np.ndarray | None = None
 
 
 def corrode(
@@ -98,8 +101,10 @@ def corrode(
         np.array([output[name] for output in done.outputs])
         for name in ("concentration", "metal", "volume_loss")
     )
+    layers = [output.get("theta", np.zeros_like(concentration[0])) for output in done.outputs]
+    theta = np.array(layers) if any("theta" in output for output in done.outputs) else None
     return CorrosionResult(
-        scene, done.times, concentration, metal, loss, done.history, done.wall_time
+        scene, done.times, concentration, metal, loss, done.history, done.wall_time, theta
     )
 
 

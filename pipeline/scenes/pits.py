@@ -18,6 +18,7 @@ from peri.engine.omission import Omission
 from peri.engine.results import Field, axes_of
 from peri.omissions.activation import corrode_activated
 from pipeline.scenes.outcome import Curve, Outcome, Panel
+from pipeline.scenes.salt import film_fields
 
 STEEL_304 = {
     "solid_concentration": 142_900.0,
@@ -151,7 +152,7 @@ def march_pencil(
             summary["thickness of the salt film at the end"] = (float(thick[held][-1]), "m")
             summary["potential over the salt film"] = (float(salt.drop(last, bare)), "V")
             summary["the film follows its current within"] = (float(salt.settling(last, bare)), "s")
-    return outcome_of(result, summary, panels)
+    return outcome_of(result, summary, panels, {} if salt is None else film_fields(result, salt))
 
 
 def closing(result: CorrosionResult, transport: Omission) -> dict[str, tuple[float, str]]:
@@ -167,16 +168,22 @@ def closing(result: CorrosionResult, transport: Omission) -> dict[str, tuple[flo
 
 
 def outcome_of(
-    result: CorrosionResult, summary: dict[str, tuple[float, str]], panels: list[Panel]
+    result: CorrosionResult,
+    summary: dict[str, tuple[float, str]],
+    panels: list[Panel],
+    more: Mapping[str, Field],
 ) -> Outcome:
-    """The outcome of a march of corrosion."""
+    """The outcome of a march of corrosion; more : fields beside its own."""
     lattice = result.scene.lattice
     over = ("time", *axes_of(lattice))
     fields = {
         "concentration": Field(result.concentration, "mol/m3", over),
         "metal": Field(result.metal, "", over),
         "phase": Field(result.scene.phases(), "", axes_of(lattice)),
+        **more,
     }
+    if result.theta is not None:
+        fields["theta"] = Field(result.theta, "1", over)
     return Outcome(
         lattice, result.times, fields, result.history, UNITS, summary, panels, result.wall_time
     )

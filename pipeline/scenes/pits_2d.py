@@ -10,6 +10,7 @@ import numpy as np
 
 from peri.corrosion.kinetics import ConstantRate
 from peri.corrosion.metal.bond_damage import BondDamage
+from peri.corrosion.metal.salt_film import SaltFilm
 from peri.corrosion.metal.solids import Solid
 from peri.corrosion.passivity import Repassivation, Rupture
 from peri.corrosion.scene import CorrosionScene
@@ -20,6 +21,7 @@ from peri.engine.results import Field, axes_of
 from peri.omissions.activation import corrode_activated
 from pipeline.scenes.outcome import Curve, Outcome, Panel
 from pipeline.scenes.pits import CHARGE_NUMBER, STEEL_304, closing, outcome_of
+from pipeline.scenes.salt import film_fields, film_summary
 
 RUPTURE = (0.15, 0.02)
 """Share of its metal with which a node loses its film, and over what further share (assumed)."""
@@ -144,13 +146,14 @@ def march_section(
     times: Sequence[float],
     *,
     kept: Collection[str] = (),
+    salt: SaltFilm | None = None,
     checkpoint: Path | None = None,
     resume: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> Outcome:
     """March a section and say what its pit is like, with the bonds that are broken.
 
-    kept : what is not left out (omissions.activation).
+    kept : what is not left out (omissions.activation).  salt : the film that its currents have.
     """
     result, transport = corrode_activated(
         scene, times, stepping, refused=kept, checkpoint=checkpoint, resume=resume,
@@ -196,10 +199,12 @@ def march_section(
         Panel("Metal lost", "time / s", "mm²", [Curve("pit", history["time"], 1e6 * lost)]),
         Panel("Liquid nodes under a salt layer", "time / s", "nodes", [held]),
     ]
-    found = outcome_of(result, summary, panels)
     over = ("time", *axes_of(lattice))
-    fields = {**found.fields, "damage_index": Field(np.array(index), "1", over)}
-    return Outcome(
-        found.lattice, found.times, fields, found.history, found.units, summary, panels,
-        found.wall_time,
-    )  # fmt: skip
+    fields = {"damage_index": Field(np.array(index), "1", over)}
+    if salt is not None:
+        fields |= film_fields(result, salt)
+        summary |= film_summary(result, salt)
+        thick = 1e6 * fields["salt_film"].values.max(axis=2)
+        curves = [Curve(f"{t:.4g} s", x, s) for t, s in zip(result.times, thick, strict=True)]
+        panels.append(Panel("Salt film", "along the sheet / um", "thickness / um", curves))
+    return outcome_of(result, summary, panels, fields)

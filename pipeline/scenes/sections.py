@@ -44,7 +44,7 @@ PIT_KEYS: dict[str, Key] = {
     "metal.charge_number": positive("dimensionless", "z of its ions", 2.19),
     "metal.current_density": positive("current density", "of bare metal", "5100 A/m^2"),
     "salt.conductivity": positive(
-        "conductivity", "of the salt film in a pencil; left out: no film is stated", "0.01 S/m"
+        "conductivity", "of the salt film; left out: no film is stated", "0.01 S/m"
     ),
     "salt.tafel_slope": positive("electric potential", "of the metal below it, per decade", "0.1V"),
     "salt.molar_volume": positive("molar volume", "of the salt per mol of metal", "1e-4 m^3/mol"),
@@ -154,8 +154,9 @@ def pit(given: Given) -> Prepared:
         else:
             scene = _film(given, spacing, ratio, current, size, charge, steel)
         march = functools.partial(
-            march_section, scene, _stepping(given, scene), _seed(given), kept=_kept(given)
-        )
+            march_section, scene, _stepping(given, scene), _seed(given), kept=_kept(given),
+            salt=_salt(given, charge),
+        )  # fmt: skip
     kept = _kept(given)
     given.left_over()
     return Prepared(given.values, march, {}, _reductions(scene, kept), _nodes(scene))

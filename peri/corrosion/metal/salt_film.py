@@ -1,6 +1,6 @@
-"""The ohmic film of salt at the bottom of a pit, from the current that diffusion lets through.
+"""The ohmic film of salt between saturated liquid and its metal, from the current through it.
 
-At a held potential a metal without a film offers i_0, and diffusion from C_sat carries i < i_0.
+At a held potential E a metal without a film offers i_0, and diffusion from C_sat carries i < i_0.
 What is offered beyond that precipitates, and the film grows until its resistance has taken so much
 of the potential that the metal offers what is carried: by a Tafel law of the slope b
 
@@ -10,9 +10,13 @@ with s the film's thickness and k its conductivity.  It follows the current with
 
     t = s z F / (V i),
 
-the time in which the current i precipitates it (V the salt's molar volume).  Complementarity gives
-i without any film; where t is short beside the time that has passed, the film of that i is this one
-(late by the share (1 + 1 / ln(i_0 / i)) of t over that time) and holds little metal itself.
+the time in which the current i precipitates it (V the salt's molar volume).  The saturation factors
+theta of complementarity are that film's: bonds carry theta of what bare metal offers, theta =
+10^(-drop / b), so the film needs no state of its own.  A film whose growth is integrated in time is
+late by the share (1 + 1 / ln(i_0 / i)) of t over the time that has passed, and holds little metal.
+
+The current does not depend on E while there is a film, whose drop is E - E_T: at the transition
+potential E_T = E - drop bare metal offers just what is carried, and below it there is no film.
 """
 
 from __future__ import annotations
@@ -23,6 +27,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from peri.engine.constants import FARADAY
+from peri.engine.influence import Stencil
 
 
 @dataclass(frozen=True)
@@ -69,3 +74,26 @@ class SaltFilm:
         charge = self.charge_number * FARADAY
         amount = self.thickness(current, bare) / self.molar_volume
         return amount * charge / np.asarray(current, float)
+
+
+def carried_share(theta: np.ndarray, metal: np.ndarray, stencil: Stencil) -> np.ndarray:
+    """Share of the bare current that the surface near each liquid node carries, 1 without a film.
+
+    Mean of theta over the bonds of all liquid nodes within the horizon of one that see metal.  All
+    layers of liquid that see a flat front are within it, so that this is the current of the front
+    over the bare one; theta of a node alone is not, because liquid a little away from the surface
+    is below C_sat and takes what its bonds offer.
+
+    theta, metal : on the lattice, theta 0 where there is none.
+    """
+    from scipy.ndimage import convolve
+
+    signed = [np.abs(np.arange(1 - n, n)) for n in stencil.octant.shape]
+    weights = stencil.octant[np.ix_(*signed)]
+    within = (weights > 0).astype(float)
+    within[tuple(n - 1 for n in stencil.octant.shape)] = 1.0
+    bonds = convolve(metal.astype(float), weights, mode="constant") * (theta > 0)
+    offered = convolve(bonds, within, mode="constant")
+    carried = convolve(bonds * theta, within, mode="constant")
+    sees = (bonds > 1e-9 * weights.sum()) & (carried < offered * (1 - 1e-9))
+    return np.divide(carried, offered, out=np.ones_like(theta), where=sees)

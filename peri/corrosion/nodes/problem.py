@@ -168,23 +168,31 @@ class CorrosionProblem(FirstOrder):
 
     def row(self, state: State) -> tuple[float, ...]:
         """Amounts and their balance, nodes held at C_sat, nodes dissolved."""
-        numbers, theta = state.numbers, state.fields.get("theta")
+        numbers = state.numbers
         metal, liquid = self.discrete.amounts(state.fields["concentration"])
         initial = numbers["initial"]
         scale = initial + numbers.get("start", 0.0)
         error = (metal + liquid + numbers["released"] - scale) / scale if scale else 0.0
-        saturated = 0
-        if theta is not None:
-            held = (theta < 1.0) & (self.discrete.box_free_volume > 0)
-            saturated = self.processes.total(int(held.sum()))
+        saturated = self._held(state)
         released, dissolved = numbers["released"], numbers["dissolved"]
         return (
             numbers["volume_loss"], metal, liquid, released, error, saturated, dissolved,
         )  # fmt: skip
 
+    def _held(self, state: State) -> int:
+        """Nodes held at C_sat."""
+        theta = state.fields.get("theta")
+        if theta is None:
+            return 0
+        held = (theta < 1.0) & (self.discrete.box_free_volume > 0)
+        return self.processes.total(int(held.sum()))
+
     def snapshot(self, state: State) -> dict[str, np.ndarray | float]:
-        """Concentrations, phases and the volume loss."""
+        """Concentrations, phases, the volume loss, and theta while there is a salt layer."""
+        held = self._held(state)
+        layer = {"theta": self.pack("theta", state.fields["theta"])} if held else {}
         return {
+            **layer,
             "concentration": self.pack("concentration", state.fields["concentration"]),
             "metal": self.pack("metal", state.fields["metal"]),
             "volume_loss": state.numbers["volume_loss"],

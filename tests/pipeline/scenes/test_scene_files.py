@@ -214,12 +214,12 @@ OF_OTHER_KINDS = [
     (
         "pit-304",
         ("step", '"1s"\n[salt]\nconductivity = "0.01 S/m"'),
-        ["salt.conductivity is given", "no use for it"],
+        ["salt.tafel_slope is missing"],
     ),
     (
         "pit-pencil",
-        ("current_density", '"5100 A/m^2"\n[salt]\nconductivity = "0.01 S/m"'),
-        ["salt.tafel_slope is missing"],
+        ("current_density", '"5100 A/m^2"\n[salt]\ntafel_slope = "0.1V"'),
+        ["salt.tafel_slope is given", "no use for it"],
     ),
     ("pit-304", ("charge_number", ""), ["metal.charge_number is missing"]),
     ("pit-304", ("saturation_concentration", "2e5"), ["must be below metal.solid_concentration"]),

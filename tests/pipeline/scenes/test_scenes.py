@@ -7,6 +7,7 @@ import h5py
 import numpy as np
 import pytest
 
+from peri.corrosion.metal.salt_film import SaltFilm
 from peri.corrosion.run import corrode
 from peri.engine.march.marching import TimeStepping
 from pipeline.cli import main
@@ -139,6 +140,27 @@ def test_a_pit_grows_under_its_lacy_cover():
         assert depth > 35e-6 and width > 2.5 * mouth and mouth == pytest.approx(40e-6, abs=5e-6)
     # measured 0.4 and 0.2 % from step to step
     np.testing.assert_allclose(lost[:2], lost[1:], rtol=0.01)
+
+
+def test_a_film_of_salt_lies_at_the_bottom_of_a_pit():
+    film = SaltFilm(conductivity=0.01, tafel_slope=0.1, charge_number=2.19, molar_volume=1e-4)
+    scene = pits_2d.masked_scene(5e-6, 2e5, size=(120e-6, 40e-6))
+    found = pits_2d.march_section(scene, TimeStepping(step=0.1), 1, [0.0, 4.0], salt=film)
+    thick, drop = (found.fields[name].values for name in ("salt_film", "salt_drop"))
+    assert (
+        not thick[0].any()
+        and not drop[0].any()
+        and not (thick[1] > 0)[found.fields["metal"].values[1]].any()
+    )
+    theta = found.fields["theta"].values[1]
+    under = thick[1] > 0
+    assert under.sum() > 10 and ((theta > 0) & (theta < 1)).sum() > 5
+    # the drop takes what bare metal would offer beyond the current i = k drop / s
+    current = film.conductivity * drop[1][under] / thick[1][under]
+    np.testing.assert_allclose(current * 10 ** (drop[1][under] / 0.1), 2e5, rtol=1e-9)
+    largest = found.summary["potential over it, largest"][0]
+    assert largest == drop[1].max() and 0.02 < largest < 0.5
+    assert [p.title for p in found.panels][-1] == "Salt film"
 
 
 def test_a_long_step_breaks_no_film():
