@@ -193,6 +193,11 @@ def _check_scheme(problem: CorrosionProblem, stepping: TimeStepping) -> None:
             "step: controlled, with saturation 'as_published'; its switch turns on and off from "
             "step to step however short they are, so give one"
         )
+    if problem.scene.pores and stepping.scheme != "backward_euler":
+        raise ValueError(
+            f"scheme: {stepping.scheme!r} with pores; use backward_euler, as what a cell stores "
+            "grows within a step"
+        )
     law = problem.scene.dissolution
     if stepping.scheme not in law.schemes:
         raise ValueError(

@@ -56,6 +56,10 @@ class CorrosionScene:
     walls : bool
         Whether the liquid conducts beside walls as elsewhere (engine.walls); without it a layer of
         a horizon's width conducts less, which counts in gaps of a few horizons.
+    pores : bool
+        With dissolution "faradaic" and walls: what is gone of a metal node holds liquid like that
+        beside it, and conducts along the wall (nodes.pores).  Without it a cell opens to the
+        liquid when its metal is gone, and a gap is narrower by what has begun to dissolve.
     solid_concentration, saturation_concentration : float
         C_solid and C_sat, mol/m^3, 0 < C_sat < C_solid.
     liquid_diffusivity : float
@@ -125,6 +129,7 @@ class CorrosionScene:
     liquid: np.ndarray | None = field(default=None, repr=False)
     renewed: np.ndarray | None = field(default=None, repr=False)
     walls: bool = False
+    pores: bool = False
 
     def __post_init__(self) -> None:
         shape = self.lattice.shape
@@ -168,6 +173,10 @@ class CorrosionScene:
             )
         self._check_solids()
         self._check_liquid()
+        if self.pores and not (self.walls and self.dissolution.name == "faradaic"):
+            raise ValueError("pores: they need walls and dissolution 'faradaic'")
+        if self.pores and self.detached == "dissolve":
+            raise ValueError("pores: given with detached 'dissolve', which does not know them")
         if (self.interface_diffusivity is None) == (self.dissolution_flux is None):
             raise ValueError("interface_diffusivity, dissolution_flux: give exactly one of them")
         for name in ("interface_diffusivity", "dissolution_flux"):

@@ -4,10 +4,11 @@ A node beside a wall has no bonds into it.  Across the wall that is right: nothi
 carries, crosses there.  Along the wall the same bonds are missing, and a layer of the horizon's
 width conducts less: a film of three horizons' thickness loses a tenth (measured; see the tests).
 The missing second moment along the wall, m_a = 1 - sum_j w_ij xi_a^2 / 2 times (1 - n_a^2)^2 (n:
-the wall's normal, the direction of the missing bonds), is added as a conductance between
-neighbouring nodes, so that a uniform gradient along a flat wall that is parallel to an axis carries
-the current of its whole section.  Along oblique walls less is given back, and the square keeps
-what these bonds carry across such a wall small.
+the wall's normal, the direction in which the liquid's share falls, by the missing bonds), is added
+as a conductance between neighbouring nodes, so that a uniform gradient along a flat wall that is
+parallel to an axis carries the current of its whole section.  Along oblique walls less is given
+back, and the square keeps what these bonds carry across such a wall small.  A wall that liquid has
+entered (`open`) conducts along itself what that liquid's section does.
 """
 
 from __future__ import annotations
@@ -37,12 +38,17 @@ class Walls:
             indexing="ij",
         )
 
+        # A gradient is the first moment over the square of the spacing: on a stretched lattice the
+        # moment alone would point along the long spacing.
+        gradient = [x * (min(stencil.spacing) / h) ** 2 for h, x in
+                    zip(stencil.spacing, position, strict=True)]  # fmt: skip
+
         def moment(weights: np.ndarray, odd: int | None) -> NonlocalSum:
             parity = tuple(-1 if a == odd else 1 for a in range(d))
             part = Stencil(weights, stencil.spacing, parity)
             return NonlocalSum(part, bond_sum.lattice_shape)
 
-        self._first = [moment(stencil.octant * x, a) for a, x in enumerate(position)]
+        self._first = [moment(stencil.octant * x, a) for a, x in enumerate(gradient)]
         self._second = [moment(stencil.octant * x**2, None) for x in position]
         self._index = np.arange(np.prod(bond_sum.padded_shape)).reshape(bond_sum.padded_shape)
         self.diagonal = np.zeros(bond_sum.padded_shape)
@@ -53,27 +59,41 @@ class Walls:
 
         volume : relative volume of each cell's liquid, of the lattice's shape.
         """
+        return [lacking for lacking, _ in self._beside(volume)]
+
+    def _beside(self, volume: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """The same, and (1 - n_a^2)^2 of the liquid nodes beside a wall, per axis."""
         stencil, field = self.sum.stencil, self.sum.pad(volume)
         liquid = np.asarray(volume) > 0
         normal = [self.sum.crop(first(field)) for first in self._first]
         squared = sum(n**2 for n in normal)
         # Between bonds that only differ by round-off there is no wall.
-        wall = squared > 1e-16 * stencil.total**2 * max(stencil.spacing) ** 2
+        wall = squared > 1e-16 * stencil.total**2 * min(stencil.spacing) ** 2
         whole = np.where(wall, squared, 1.0)
         out = []
         for a, second in enumerate(self._second):
             lacking = 1.0 - 0.5 * self.sum.crop(second(field))
             across = np.where(wall, normal[a] ** 2 / whole, 1.0)
-            out.append(np.where(liquid, np.maximum(lacking, 0.0) * (1.0 - across) ** 2, 0.0))
+            along = np.where(liquid, (1.0 - across) ** 2, 0.0)
+            out.append((np.maximum(lacking, 0.0) * along, along))
         return out
 
     def update(self, volume: np.ndarray, conductivity: np.ndarray) -> None:
         """Take the liquid's cells and what each conducts; a face has the harmonic mean of both."""
-        base = self.sum
+        self._conducts = np.where(np.asarray(volume) > 0, conductivity, 0.0)
+        self._lacking = self._beside(volume)
+        self.open(np.zeros(np.shape(volume)))
+
+    def open(self, behind: np.ndarray) -> None:
+        """Take the liquid in the walls.
+
+        behind : its volume behind each liquid node, relative to a cell's; of the lattice's shape.
+        """
+        base, kappa = self.sum, self._conducts
         lead = 3 - len(base.lattice_shape)
-        kappa = np.where(np.asarray(volume) > 0, conductivity, 0.0)
         self.links, self.diagonal = [], np.zeros(base.padded_shape)
-        for a, missing in enumerate(self.missing(volume)):
+        for a, (lacking, along) in enumerate(self._lacking):
+            missing = lacking + along * behind
             low, high = (_side(base.lattice_shape, a, s) for s in (0, 1))
             total = kappa[low] + kappa[high]
             mean = 2.0 * kappa[low] * kappa[high] / np.where(total > 0, total, 1.0)

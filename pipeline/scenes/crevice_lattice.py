@@ -61,12 +61,13 @@ def crevice_on_lattice(
     length: float = LENGTH,
     most: float = 8e-6,
     walls: bool = True,
+    pores: bool = True,
 ) -> CorrosionScene:
     """The washer of alloy 625, x from the mouth and y across the gap.
 
     spacing : m.  ratio : horizon over spacing, along both.  length : of the crevice from its closed
     end, m; a shorter one leaves out the wide part at the mouth.  most : metal beyond what the
-    widest place has of it, m.
+    widest place has of it, m.  walls, pores : see CorrosionScene.
     """
     along, across = spacing
     columns = round(length / along)
@@ -88,6 +89,7 @@ def crevice_on_lattice(
         liquid=np.where(x > length - seed, 0.99 * MOST, 0.0),
         renewed=mouth & ~metal,
         walls=walls,
+        pores=pores and walls,
         solid_concentration=SOLID,
         saturation_concentration=MOST,
         liquid_diffusivity=DIFFUSIVITY,

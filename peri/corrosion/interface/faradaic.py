@@ -169,6 +169,8 @@ class FaradaicExchange(Exchange):
         gain = share * inflow
         beside, renewals = self._beside[nodes], share * self._renewals[nodes]
         kept = np.minimum(gain, (gain + renewals * beside) / (1.0 + renewals))
+        if scene.pores:
+            kept = np.zeros_like(gain)  # its pores are full already
         passed = gain - kept
         if scene.saturation == "complementarity":
             most = scene.saturation_concentration

@@ -45,16 +45,28 @@ class Balance:
         left = float((values * p.box_metal_volume[p.box_metal]).sum())
         return min(1.0, max(0.0, 1.0 - p.processes.total(left) / self._loss_scale))
 
-    def amounts(self, concentration: np.ndarray) -> tuple[float, float]:
-        """Amount in the metal and in the free liquid, mol (per m or m^2 in 2D, 1D)."""
+    def amounts(
+        self, concentration: np.ndarray, pores: np.ndarray | None = None
+    ) -> tuple[float, float]:
+        """Amount in the metal and in the free liquid, mol (per m or m^2 in 2D, 1D).
+
+        pores : what the metal's emptied share holds, mol/m^3; the liquid's.
+        """
         p = self.phases
         volume = p.scene.lattice.cell_volume
         contents = p.capacity * concentration
         metal, liquid = (float(contents[nodes].sum()) for nodes in (p.metal, p.free))
+        if pores is not None:
+            liquid += float((p.capacity * pores)[p.metal].sum())
         return volume * p.processes.total(metal), volume * p.processes.total(liquid)
 
     def close(
-        self, result: np.ndarray, old: np.ndarray, released: float, active: np.ndarray
+        self,
+        result: np.ndarray,
+        old: np.ndarray,
+        released: float,
+        active: np.ndarray,
+        more: float = 0.0,
     ) -> float:
         """Scale the liquid (or the metal) so that the stage's amounts add up to round-off.
 
@@ -65,7 +77,8 @@ class Balance:
         value or falls below zero; at rest the metal itself does, by 1e-9 of it at most and up to
         its C_solid; where there is no metal either, what is released does.
 
-        released : mol.  Returns what is to be added to it.
+        released : mol.  more : that pores hold more than before, mol/m^3 times cells.  Returns what
+        is to be added to what is released.
         """
         p = self.phases
         total = p.processes.total
@@ -75,7 +88,7 @@ class Balance:
         liquid = total(float(content[solved].sum()))
         change = content - p.capacity * np.where(p.free | p.metal, old, 0.0)
         passed = released / p.scene.lattice.cell_volume
-        missing = -total(float(change.sum())) - passed
+        missing = -total(float(change.sum())) - more - passed
         if liquid > 0 and abs(missing) <= 1e-6 * liquid:
             result[solved] *= 1.0 + missing / liquid
             return 0.0

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from peri.corrosion.nodes.pores import Pores
 from peri.corrosion.nodes.rates import InterfaceRates
 from peri.corrosion.nodes.stage import Stage, StageSolver
 from peri.corrosion.scene import CorrosionScene
@@ -58,9 +59,18 @@ class BiMaterial(InterfaceRates):
         """See Balance.volume_loss."""
         return self.balance.volume_loss(concentration)
 
-    def amounts(self, concentration: np.ndarray) -> tuple[float, float]:
+    def amounts(
+        self, concentration: np.ndarray, pores: np.ndarray | None = None
+    ) -> tuple[float, float]:
         """See Balance.amounts."""
-        return self.balance.amounts(concentration)
+        return self.balance.amounts(concentration, pores)
+
+    def open_walls(self, concentration: np.ndarray) -> None:
+        """Let the liquid in emptied metal conduct along the walls; `concentration` is padded."""
+        if self.box is None or self.walls is None:
+            return
+        pores = Pores(self, self.take(self.initial_concentration), np.zeros_like(concentration))
+        self.walls.open(self.sum.crop(self.put(pores.behind(self.take(concentration)))))
 
     # --- steps ----------------------------------------------------------------------------
 
@@ -71,6 +81,7 @@ class BiMaterial(InterfaceRates):
         guess: np.ndarray,
         theta: np.ndarray | None,
         volume_loss: float,
+        pores: np.ndarray | None = None,
     ) -> Stage:
         """Solve Y = old + tau F(Y), kinetics and saturation included.
 
@@ -86,13 +97,17 @@ class BiMaterial(InterfaceRates):
             Starting value of the saturation factors.
         volume_loss : float
             Starting value of V_L.
+        pores : padded array, optional
+            What the emptied share of each metal node holds at the start, for scenes with `pores`.
 
         Raises
         ------
         ConvergenceError
             When the linear solver or the active set does not settle (a shorter step will).
         """
-        return self._solver.solve(old, tau, guess, theta, volume_loss)
+        if self.scene.pores and pores is None:
+            raise ValueError("pores: this march does not carry what they hold")
+        return self._solver.solve(old, tau, guess, theta, volume_loss, pores)
 
     def stage_alone(self, old: np.ndarray, tau: float, volume_loss: float) -> Stage:
         """The same for the metal alone, in liquid that stays clean."""

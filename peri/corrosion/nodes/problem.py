@@ -32,7 +32,8 @@ class CorrosionProblem(FirstOrder):
 
     Fields of its states: `concentration` (padded lattice, mol/m^3), `metal` (padded, bool) and,
     after an implicit stage, `theta` (padded box, the saturation factors); `exposed` (padded box,
-    s: when a metal node first saw liquid, infinite before) where the kinetics needs an age.
+    s: when a metal node first saw liquid, infinite before) where the kinetics needs an age; `pores`
+    (padded, mol/m^3: what the emptied share of a metal node holds) where the scene has them.
     Numbers:
     `volume_loss`, `released` (mol), `initial` (metal at the start, mol), `start` (liquid's amount
     then, where there is any, mol), `dissolved` (nodes in the last step).
@@ -65,6 +66,8 @@ class CorrosionProblem(FirstOrder):
         self.processes, self._whole_scene = processes, scene
         self.discrete = BiMaterial(scene, solver_tolerance, processes)
         self.scene = self.discrete.scene
+        if self.scene.pores:
+            self.evolved = ("concentration", "pores")
         if self.scene.detached == "dissolve" and not processes.whole:
             raise ValueError("detached: 'dissolve' is done in one process, not on ranks")
         known = {"volume_loss", "phase", "concentration", "age", "lost", *given}
@@ -98,6 +101,8 @@ class CorrosionProblem(FirstOrder):
         fields = {"concentration": concentration, "metal": discrete.metal}
         if self._ages:
             fields["exposed"] = np.where(self._exposed(), 0.0, np.inf)
+        if self.scene.pores:
+            fields["pores"] = np.zeros_like(concentration)
         return State(0.0, fields, numbers)
 
     @property
@@ -119,8 +124,10 @@ class CorrosionProblem(FirstOrder):
         self.discrete.update_phase()
 
     def begin(self, state: State) -> None:
-        """Drop the preconditioner, so that a resumed march is the same."""
+        """Drop the preconditioner, so that a resumed march is the same; open walls to liquid."""
         self.discrete.forget()
+        if self.scene.pores:
+            self.discrete.open_walls(state.fields["concentration"])
 
     def pack(self, name: str, values: np.ndarray) -> np.ndarray:
         """The whole lattice's field on the root."""
@@ -168,8 +175,8 @@ class CorrosionProblem(FirstOrder):
 
     def row(self, state: State) -> tuple[float, ...]:
         """Amounts and their balance, nodes held at C_sat, nodes dissolved."""
-        numbers = state.numbers
-        metal, liquid = self.discrete.amounts(state.fields["concentration"])
+        numbers, fields = state.numbers, state.fields
+        metal, liquid = self.discrete.amounts(fields["concentration"], fields.get("pores"))
         initial = numbers["initial"]
         scale = initial + numbers.get("start", 0.0)
         error = (metal + liquid + numbers["released"] - scale) / scale if scale else 0.0
@@ -214,6 +221,7 @@ class CorrosionProblem(FirstOrder):
             guess.fields["concentration"],
             guess.fields.get("theta"),
             guess.numbers["volume_loss"],
+            old.get("pores"),
         )
         return self._stage(solved)
 
@@ -228,6 +236,8 @@ class CorrosionProblem(FirstOrder):
         fields = {"concentration": solved.concentration}
         if solved.theta is not None:
             fields["theta"] = solved.theta
+        if solved.pores is not None:
+            fields["pores"] = solved.pores
         numbers = {"volume_loss": solved.volume_loss}
         rates = {"released": solved.release_rate}
         return Stage(fields, numbers, rates, solved.iterations, solved)

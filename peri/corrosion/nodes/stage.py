@@ -14,6 +14,7 @@ import numpy as np
 
 from peri.corrosion.interface import saturation
 from peri.corrosion.interface.exchange import Exchange, FixedPoint
+from peri.corrosion.nodes.pores import Pores
 from peri.corrosion.nodes.rates import InterfaceRates
 from peri.corrosion.settling import settled_loss
 from peri.engine import kernels
@@ -46,14 +47,20 @@ class Stage:
     """Share of the interface flux whose time is an estimate (Exchange.late)."""
     switch: np.ndarray | None = None
     """Which metal nodes exchange with the liquid, padded box array (0: held back)."""
+    pores: np.ndarray | None = None
+    """What the emptied share of each metal node holds, mol/m^3, padded."""
 
 
 @dataclass
 class _Right:
-    """What a stage starts from, on padded arrays of the lattice: right side and step (s)."""
+    """What a stage starts from, on padded arrays of the lattice: right side and step (s).
+
+    pores : liquid in the metal's emptied share, where the scene has it.
+    """
 
     old: np.ndarray
     tau: float
+    pores: Pores | None = None
 
 
 class StageSolver:
@@ -81,9 +88,14 @@ class StageSolver:
         guess: np.ndarray,
         theta: np.ndarray | None,
         volume_loss: float,
+        pores: np.ndarray | None = None,
     ) -> Stage:
         """See BiMaterial.implicit_stage."""
-        d, right = self.d, _Right(old, tau)
+        d = self.d
+        filled = None
+        if pores is not None and d.box is not None:
+            filled = Pores(d, d.take(d.initial_concentration), pores)
+        right = _Right(old, tau, filled)
         y = np.where(d.free, guess, 0.0)
         if d.box is None:
             iterations, _ = self._solve_liquid(y, right, None, None)
@@ -107,6 +119,8 @@ class StageSolver:
             volume_loss = self._settle_rate(exchange, held.theta, volume_loss, liquid, known, gone)
             view = y[d.window]
             view[held.active[d.box.interior]] = saturated
+            if filled is not None:
+                filled.fill(exchange.metal_concentration(liquid))
             count, solved = self._solve_liquid(y, right, exchange, held.active)
             iterations += count
             metal = exchange.metal_concentration(d.take(y))
@@ -127,6 +141,10 @@ class StageSolver:
                 f"step of {tau:.3g} s"
             )
         release = d.balance.release_rate(y, exchange, metal)
+        kept, more = None, 0.0
+        if filled is not None:
+            kept = filled.holds(d.take(y))
+            more = float((d.box_metal_volume * (kept - d.take(pores))).sum())
         # What an active node takes in is what the metal loses, to round-off.
         if d.processes.any(held.active.any()):
             metal = exchange.correct(metal, held.change(), saturated)
@@ -134,11 +152,16 @@ class StageSolver:
         result = np.where(d.free, y, 0.0)
         view = result[d.window]
         view[d.box_metal[d.box.interior]] = (metal + exchange.gained)[d.box_metal]
-        release += d.balance.close(result, old, tau * release, held.active) / tau
+        release += d.balance.close(result, old, tau * release, held.active, more) / tau
         emptied = None if exchange.emptied is None else d.put(exchange.emptied) > 0
+        if kept is not None and emptied is not None:
+            # An emptied node opens with what its pores hold.
+            kept = d.put(kept)
+            result += np.where(emptied, kept, 0.0)
+            kept = np.where(emptied, 0.0, kept)
         return Stage(
             result, held.theta, volume_loss, release, iterations, rounds, emptied, exchange.late(),
-            exchange.switch(),
+            exchange.switch(), kept,
         )  # fmt: skip
 
     def alone(self, old: np.ndarray, tau: float, volume_loss: float) -> Stage:
@@ -194,7 +217,7 @@ class StageSolver:
         """
         d, tau = self.d, right.tau
         held = active is not None and d.processes.any(active.any())
-        system = self._linear_system(tau, exchange, active)
+        system = self._linear_system(right, exchange, active)
         r = d.sum(d.liquid_volume * y)
         squares = kernels.stage_residual(
             y, right.old, r, system.weight, system.diagonal, d.scene.liquid_diffusivity, tau,
@@ -203,6 +226,9 @@ class StageSolver:
         scale = math.sqrt(d.processes.total(float(squares.sum()))) / tau
         if d.walls is not None:
             r += system.mask * d.walls.flow(y)
+        if right.pores is not None:
+            stored = right.pores.volume * d.take(y) - right.pores.before
+            r[d.window] -= (d.take(system.mask) * stored / tau)[d.box.interior]
         if exchange is not None:
             source = exchange.liquid_gain(d.take(y))
             scale += self._norm(source)
@@ -238,6 +264,10 @@ class StageSolver:
             now += total(float((d.box_metal_volume * (metal + exchange.gained)).sum()))
             follows += total(float((d.box_metal_volume * (metal - alone)).sum()))
         before = total(float((d.capacity * right.old)[d.free | d.metal].sum()))
+        if right.pores is not None:
+            stored = float((right.pores.volume * d.take(y)).sum())
+            now, follows = now + stored, follows + stored
+            before += float(right.pores.before.sum())
         if follows > 0:
             y[d.free] *= min(2.0, max(0.5, 1.0 + (before - now) / follows))
 
@@ -246,9 +276,10 @@ class StageSolver:
         return math.sqrt(self.d.processes.total(squares))
 
     def _linear_system(
-        self, tau: float, exchange: Exchange | None, active: np.ndarray | None
+        self, right: _Right, exchange: Exchange | None, active: np.ndarray | None
     ) -> DiffusionSystem:
         p, d = self.d, self.d.scene.liquid_diffusivity
+        tau, pores = right.tau, right.pores
         key = (tau, None if active is None else active.tobytes())
         if p.processes.any(self._system is None or self._system_key != key):
             if p.processes.any(self._system_key != key):
@@ -268,6 +299,9 @@ class StageSolver:
                 metal_diagonal, storage_share = self._metal
                 extra_diagonal = (weight > 0) * p.put(metal_diagonal)
                 sink = sink + extra_diagonal * storage_share
+            if pores is not None:
+                extra_diagonal = (weight > 0) * p.put(pores.volume) / tau
+                sink = sink + extra_diagonal
             self._system = DiffusionSystem(
                 p.sum, weight, diagonal, d, sink, extra_diagonal=extra_diagonal, walls=p.walls
             )
@@ -276,7 +310,23 @@ class StageSolver:
         assert system is not None
         coupled = exchange is not None and exchange.couples
         system.extra = self._coupling(system, exchange) if coupled else None
+        if pores is not None:
+            system.extra = self._storage(system, pores.volume / tau)
         return system
+
+    def _storage(
+        self, system: DiffusionSystem, per_second: np.ndarray
+    ) -> Callable[[np.ndarray, np.ndarray], float]:
+        """What pores add to the liquid's matrix, 1/s times relative volume, on the box."""
+        d = self.d
+        share = np.where(d.take(system.weight) > 0, per_second, 0.0)[d.box.interior]
+
+        def add(u: np.ndarray, y: np.ndarray) -> float:
+            own = share * u[d.window]
+            y[d.window] += own
+            return float((own * u[d.window]).sum())
+
+        return add
 
     def _coupling(
         self, system: DiffusionSystem, exchange: Exchange
@@ -355,4 +405,7 @@ class _Held:
         needed = d.box_free_volume * needed
         if d.walls is not None:
             needed = needed - d.take(d.walls.flow(y))
+        if self.right.pores is not None:
+            pores = self.right.pores
+            needed = needed + (pores.volume * here - pores.before) / self.right.tau
         return np.where(self.active, needed, 0.0), np.maximum(available, 0.0)
