@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from peri.engine.omission import Omission
     from pipeline.record.run_folder import RunFolder
     from pipeline.scenes.files import SceneFile
 
@@ -88,11 +89,19 @@ def plan_file(options: argparse.Namespace, say: Callable[[str], None]) -> None:
     for column in ("what", "left out", "why", "error"):
         table.add_column(column)
     for o in omissions:
-        error = f"at most {o.bound:.2g} of {o.of}" if o.bound < float("inf") else "no bound"
-        table.add_row(o.name, "yes" if o.applied else "no", o.reason, error)
+        table.add_row(o.name, "yes" if o.applied else "no", o.reason, _error_of(o))
     Console(width=None if Console().is_terminal else 120).print(table)
     if ready.assumed:
         say(f"assumed: {', '.join(ready.assumed)}")
+
+
+def _error_of(omission: Omission) -> str:
+    """What leaving it out costs, or would cost, in words."""
+    if omission.bound == 0:
+        return "none"
+    if omission.bound >= 1:
+        return "no bound" if omission.bound == float("inf") else "no bound below 100 %"
+    return f"at most {100 * omission.bound:.2g} % of {omission.of}"
 
 
 def init_file(options: argparse.Namespace, say: Callable[[str], None]) -> None:

@@ -6,6 +6,7 @@ import functools
 from collections.abc import Callable
 
 from peri.corrosion.metal.salt_film import SaltFilm
+from peri.corrosion.passivity import Repassivation
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.march.marching import TimeStepping
 from peri.engine.omission import Omission
@@ -246,10 +247,11 @@ def _reductions(scene: CorrosionScene, kept: list[str]) -> Callable[[float], lis
 
     def found(end: float) -> list[Omission]:
         exact = [
-            ("metal", "a node of metal keeps what it holds until the front reaches it"),
+            ("metal", "what a node loses follows from the liquid beside it, so it is no unknown"),
             ("saturated liquid", "a node under a salt layer has C_sat, which is no unknown"),
-            ("passive metal", "its current follows from the liquid that it sees"),
         ]
+        if any(isinstance(scene.law_of(solid), Repassivation) for solid in scene.solids):
+            exact.append(("passive metal", "its current follows from the liquid that it sees"))
         omissions = [Omission(name, why, 0.0, True, "what is lost") for name, why in exact]
         return [*omissions, activation(scene, end, refused=kept)]
 

@@ -256,6 +256,25 @@ def test_a_boundary_of_one_spacing_and_mixed_references_are_refused(tmp_path, ca
     refused(capsys, ["run", str(file), *out], "against SHE", "against SCE", "all must be")
 
 
+def test_a_plan_names_what_a_scene_has_no_unknowns_for(capsys):
+    """Each with its error: none where it is exact, a percentage, or no bound that helps."""
+    rows = {
+        "pit-lacy": ["metal", "saturated liquid", "passive metal", "transport"],
+        "pit-pencil": ["metal", "saturated liquid", "transport"],
+        "crevice-625": ["width of the gap", "saturated stretch"],
+        "galvanic-slab": ["potential", "kinetics", "renewal"],
+    }
+    for name, expected in rows.items():
+        assert main(["plan", str(path_of(name)), "--json"]) == 0
+        found = json.loads(capsys.readouterr().out)["omissions"]
+        assert [row["name"] for row in found] == expected, name
+    assert main(["plan", str(path_of("crevice-625"))]) == 0
+    text = capsys.readouterr().out
+    assert "at most 0.0083 % of the concentration" in text and "none" in text
+    assert main(["plan", str(path_of("galvanic-slab"))]) == 0
+    assert "no bound below 100 %" in capsys.readouterr().out
+
+
 def test_reductions_are_refused_by_name(tmp_path, capsys):
     file = tmp_path / "own.toml"
     run = ["run", str(file), "--quiet", "--out"]
