@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from peri.coupled.galvanic_march import GalvanicProblem, Renewal
+from peri.coupled.galvanic_march import GalvanicProblem
+from peri.coupled.galvanic_renewal import Renewal
 from peri.coupled.galvanic_scene import ROBIN, GalvanicScene, Metal
 from peri.engine.march.marching import march
 from peri.transport.potential.electrostatics import PotentialField

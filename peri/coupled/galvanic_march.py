@@ -14,22 +14,25 @@ the potential alone.
 The surface that the potential sees lies deeper than the exposed nodes by what the patch has lost
 already, sum_i (1 - C_i / C_solid) dV / A, so that the potential of a flat front changes steadily
 and not by steps of the lattice.
+
+Where a scene follows its ions (galvanic_ions), what the metals lose enters the liquid along the
+bonds that carry the current, and the conductivity is renewed with the potential.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy import ndimage
 
 from peri.corrosion.kinetics import Exposed
+from peri.coupled.galvanic_ions import IonTransport
 from peri.coupled.galvanic_scene import GalvanicScene
 from peri.coupled.patch_queues import drain, spill
 from peri.engine.constants import FARADAY
 from peri.engine.march.checkpoints import fingerprint
 from peri.engine.march.problem import Course, Fields, Problem, State
-from peri.engine.march.stepping import step_towards, time_after
 from peri.transport.potential.electrostatics import (
     Electrode,
     NoSinkError,
@@ -39,6 +42,14 @@ from peri.transport.potential.electrostatics import (
 from peri.transport.potential.mirror import MirrorProblem
 from peri.transport.potential.polarization import Insulated
 
+_OF_IONS = {
+    "ions_amount": "mol",
+    "released_amount": "mol",
+    "balance_error": "1",
+    "highest_ions": "mol/m3",
+    "salt_amount": "mol",
+    "highest_conductivity": "S/m",
+}
 _JUMP = 0.2
 """Change of a current in a step that still counts as a trend, relative."""
 
@@ -48,8 +59,9 @@ class GalvanicProblem(Problem):
 
     Fields of its states: `concentration` (mol/m^3, of the lattice's shape), `lead` (bool: metal
     that is not cut off), `potential` (of the liquid, V), `density` and `surface` (A/m^2 and V of
-    each patch).  Numbers: `charge` (C, of the
-    metals that dissolve), `moles` (it over z F), `initial` and `current0`, `current1`, ... (A) of
+    each patch), and `ions` (mol/m^3, what a node of liquid holds of the metals) where the scene
+    follows them.  Numbers: `charge` (C, of the metals that dissolve), `moles` (it over z F),
+    `released` (mol, what left in renewed liquid), `initial` and `current0`, `current1`, ... (A) of
     the metals.
     """
 
@@ -66,6 +78,9 @@ class GalvanicProblem(Problem):
         self._charge = FARADAY * np.array(zs)  # C/mol
         self._dissolves = np.array([m.solid_concentration is not None for m in scene.metals])
         self._problem: tuple[bytes, PotentialProblem | None] = (b"", None)
+        self.transport = (
+            None if scene.ions is None else IonTransport(scene.ions, scene.lattice, scene.stencil)
+        )
         self.columns = {
             "charge": "C",
             "metal_amount": "mol",
@@ -74,6 +89,7 @@ class GalvanicProblem(Problem):
             "dissolved_nodes": "1",
             "newton": "1",
             **{f"current_{metal.name}": "A" for metal in scene.metals},
+            **(_OF_IONS if self.transport is not None else {}),
         }
 
     def key(self) -> str:
@@ -111,19 +127,22 @@ class GalvanicProblem(Problem):
                     Electrode(lead & (self._label == number), solid.law, solid.potential)
                     for number, solid in enumerate(scene.metals, 1)
                 ]
+                ions = fields.get("ions")
                 try:
-                    problem = self._between(metal, electrodes)
+                    problem = self._between(metal, electrodes, ions)
                 except NoSinkError:
                     if np.array_equal(metal, self._label > 0):
                         raise
                     # What is left of the couple no longer is one; its metals go on by themselves.
                     problem = self._between(
-                        metal, [replace(e, law=Insulated()) for e in electrodes]
+                        metal, [replace(e, law=Insulated()) for e in electrodes], ions
                     )
             self._problem = mark, problem
         return self._problem[1]
 
-    def _between(self, metal: np.ndarray, electrodes: list[Electrode]) -> PotentialProblem:
+    def _between(
+        self, metal: np.ndarray, electrodes: list[Electrode], ions: np.ndarray | None
+    ) -> PotentialProblem:
         """The potential problem of electrodes in all that is no metal."""
         scene = self.scene
         draws = any(not isinstance(electrode.law, Insulated) for electrode in electrodes)
@@ -132,7 +151,7 @@ class GalvanicProblem(Problem):
                 scene.lattice, scene.stencil, ~metal, electrodes, float(scene.conductivity)
             )
         return PotentialProblem(
-            scene.lattice, scene.stencil, ~metal, electrodes, scene.conductivity, held=scene.held
+            scene.lattice, scene.stencil, ~metal, electrodes, scene.conducts(ions), held=scene.held
         )
 
     def recession(self, problem: PotentialProblem, concentration: np.ndarray) -> np.ndarray:
@@ -152,6 +171,8 @@ class GalvanicProblem(Problem):
         problem = self.potential_problem(fields)
         if problem is None:
             raise ValueError("metals: none of them touches the liquid")
+        if self.transport is not None:
+            problem.conduct(np.asarray(self.scene.conducts(fields["ions"])))
         problem.recede(self.recession(problem, fields["concentration"]))
         if self.one_level:
             found = problem.level()
@@ -207,13 +228,18 @@ class GalvanicProblem(Problem):
     def initial(self) -> State:
         """All metal there, and the potential of that."""
         amount = float(self.solid.sum()) * self.scene.lattice.cell_volume
-        numbers = {"charge": 0.0, "moles": 0.0, "initial": amount, "dissolved": 0.0}
+        numbers = {
+            "charge": 0.0, "moles": 0.0, "released": 0.0, "initial": amount, "dissolved": 0.0,
+        }  # fmt: skip
         return self._with_potential(State(0.0, self.untouched(), numbers))[0]
 
     def untouched(self) -> Fields:
         """All metal there, all of it with its lead."""
         metal = self._label > 0
-        return {"concentration": self.solid.copy(), "lead": self.still_led(metal)}
+        fields = {"concentration": self.solid.copy(), "lead": self.still_led(metal)}
+        if self.transport is not None:
+            fields["ions"] = np.zeros(self.scene.lattice.shape)
+        return fields
 
     def _of_metals(self, state: State) -> list[float]:
         """Self-corrosion of each metal at its present volume loss, A/m^2."""
@@ -286,7 +312,7 @@ class GalvanicProblem(Problem):
         """
         coupled, alone, _ = self.rates(state)
         concentration = state.fields["concentration"]
-        numbers, moved = dict(state.numbers), concentration
+        numbers, moved, given = dict(state.numbers), concentration, None
         if (coupled + alone).any():
             problem = self.potential_problem(state.fields)
             assert problem is not None
@@ -298,9 +324,15 @@ class GalvanicProblem(Problem):
             charge = np.where(self._dissolves, self._charge, 0.0)[of]
             part = coupled / np.where(wanted > 0, wanted, 1.0)  # of what was delivered
             numbers["charge"] += float((delivered * part * charge).sum())
+            given = problem.patches.shares.T @ delivered
         gone = self.metal(concentration) & ~self.metal(moved)
         numbers["dissolved"] = float(gone.sum())
         fields = {**state.fields, "concentration": moved}
+        if self.transport is not None:
+            fields["ions"], left = self.transport.step(
+                state.fields["ions"], given, ~self.metal(moved), step
+            )
+            numbers["released"] += left
         if gone.any():
             fields["lead"] = self.still_led(state.fields["lead"] & ~gone)
         new = State(time, fields, numbers)
@@ -308,6 +340,34 @@ class GalvanicProblem(Problem):
             if self.change_bound(fields) <= change:
                 return State(time, fields, {**numbers, "newton": 0.0}), 0
         return self._with_potential(new)
+
+    def conductivity_change(self, course: Course) -> float:
+        """Largest relative change of the liquid's conductivity in the last step; 0 before one."""
+        ions = self.scene.ions
+        if ions is None or not course.previous_step:
+            return 0.0
+        wet = ~self.metal(course.previous.fields["concentration"])
+        now, before = (
+            ions.conducts(s.fields["ions"][wet]) for s in (course.state, course.previous)
+        )
+        return float(np.abs(now / before - 1.0).max(initial=0.0))
+
+    def first_conductivity_change(self, state: State, step: float) -> float:
+        """The same of a step to come, with all that patches give left where it enters."""
+        ions, problem = self.scene.ions, self.potential_problem(state.fields)
+        if ions is None or problem is None:
+            return 0.0
+        coupled, alone, _ = self.rates(state)
+        given = (
+            problem.patches.shares.T @ (step * (coupled + alone)) / self.scene.lattice.cell_volume
+        )
+        content = state.fields["ions"]
+        there = problem.sum.crop(given.reshape(problem.sum.padded_shape)) + content
+        wet = ~self.metal(state.fields["concentration"])
+        # Without a limit of what dissolves, a law's points may end before all that is given.
+        most = float(getattr(ions.conductivity, "concentrations", (np.inf,))[-1])
+        later = ions.conducts(np.minimum(there, most)[wet])
+        return float(np.abs(later / ions.conducts(content[wet]) - 1.0).max(initial=0.0))
 
     def _known_problem(self) -> PotentialProblem:
         """The potential problem of the metal that was looked at last."""
@@ -357,6 +417,25 @@ class GalvanicProblem(Problem):
             numbers["dissolved"],
             numbers["newton"],
             *(numbers[f"current{n}"] for n in range(len(self.scene.metals))),
+            *self._of_ions(state, amount, whole),
+        )
+
+    def _of_ions(self, state: State, amount: float, whole: float) -> tuple[float, ...]:
+        """Ions' columns, where they are followed: amounts, balance, most dissolved, salt, kappa."""
+        ions = self.scene.ions
+        if ions is None:
+            return ()
+        content, numbers = state.fields["ions"], state.numbers
+        wet = ~self.metal(state.fields["concentration"])
+        volume, dissolved = self.scene.lattice.cell_volume, ions.dissolved(content)
+        held = float(content.sum()) * volume
+        return (
+            held,
+            numbers["released"],
+            (amount + held + numbers["released"] - numbers["initial"]) / whole,
+            float(dissolved.max()),
+            float((content - dissolved)[wet].clip(min=0.0).sum()) * volume,
+            float(ions.conducts(content[wet]).max()),
         )
 
     def snapshot(self, state: State) -> dict[str, np.ndarray | float]:
@@ -376,51 +455,21 @@ class GalvanicProblem(Problem):
             "potential": state.fields["potential"].copy(),
             "current_density": density,
             "electrode_potential": surface,
+            **self._liquid(state),
         }
+
+    def _liquid(self, state: State) -> dict[str, np.ndarray | float]:
+        """Dissolved ions, salt and conductivity of the liquid, where they are followed."""
+        ions = self.scene.ions
+        if ions is None:
+            return {}
+        content = state.fields["ions"]
+        wet, dissolved = ~self.metal(state.fields["concentration"]), ions.dissolved(content)
+        salt = np.maximum(content - dissolved, 0.0)
+        kappa = np.where(wet, ions.conducts(content), np.nan)
+        return {"ions": dissolved, "salt": salt, "conductivity": kappa}
 
     def describe(self, state: State) -> str:
         """Time, and the largest current."""
         largest = max(abs(state.numbers[f"current{n}"]) for n in range(len(self.scene.metals)))
         return f"{state.time:.4g} s, {largest:.4g} A"
-
-
-@dataclass(frozen=True)
-class Renewal:
-    """Steps with the patches' currents of their beginning; the potential is renewed after each.
-
-    travel : how far the fastest patch may recede in a step, in spacings, 0 to 1.
-    longest : of a step, s, beside that.  change : bound of the currents' change, relative to their
-    sum, up to which the potential is kept after a step (GalvanicProblem.change_bound); 0 renews it
-    after every one.
-    """
-
-    travel: float = 0.1
-    longest: float = float("inf")
-    change: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not 0 < self.travel <= 1:
-            raise ValueError(f"travel: {self.travel}; it must be above 0 and at most 1 spacing")
-        if not 0 <= self.change < 1:
-            raise ValueError(f"change: {self.change}; it must be from 0 to below 1")
-        if not self.longest > 0:
-            raise ValueError(f"longest: {self.longest} s; it must be positive")
-
-    def choose_first_step(self, problem: GalvanicProblem, state: State, end: float) -> float:
-        """The first step, s."""
-        return self._step(problem, state, end)
-
-    def _step(self, problem: GalvanicProblem, state: State, end: float) -> float:
-        speed = float(problem.rates(state)[2].max(initial=0.0))
-        spacing = min(problem.scene.lattice.spacing)
-        step = min(self.longest, self.travel * spacing / speed if speed > 0 else np.inf)
-        return step if np.isfinite(step) else max(end, 1e-300)
-
-    def advance(self, problem: GalvanicProblem, course: Course, target: float) -> None:
-        """Take one step towards `target` (s), in place."""
-        state = course.state
-        course.step = self._step(problem, state, target)
-        step = step_towards(state.time, target, course.step)
-        time, trend = time_after(state.time, step, target), problem.trend(course, step)
-        new, iterations = problem.moved(state, step, time, trend, self.change)
-        course.move(new, step, iterations)

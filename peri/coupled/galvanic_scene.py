@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from peri.corrosion.kinetics import ConstantRate, Kinetics
+from peri.coupled.galvanic_ions import Ions
 from peri.engine.influence import Stencil, diffusion_stencil
 from peri.engine.lattice import Lattice
 from peri.transport.potential.polarization import Polarization
@@ -113,6 +114,9 @@ class GalvanicScene:
         Appendix A, corrected (transport.potential.mirror), on a lattice of one spacing with one
         conductivity and no held nodes: to be compared with, since by the law their currents do
         not balance.
+    ions : Ions, optional
+        The metals' ions in the liquid, by which that conducts; `conductivity` is then one number,
+        of clean liquid.  Without them it stays as it is.
 
     Raises
     ------
@@ -127,6 +131,7 @@ class GalvanicScene:
     held: np.ndarray | None = field(default=None, repr=False)
     calibration: str = "discrete"
     robin: str = ROBIN[0]
+    ions: Ions | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "metals", tuple(self.metals))
@@ -156,6 +161,8 @@ class GalvanicScene:
         if self.held is not None and self.held.shape != self.lattice.shape:
             raise ValueError(f"held: {self.held.shape}; the lattice has {self.lattice.shape}")
         self._check_robin()
+        if self.ions is not None:
+            self.ions.check(self.lattice.shape, self.conductivity)
         object.__setattr__(
             self,
             "_stencil",
@@ -172,6 +179,7 @@ class GalvanicScene:
         for there, what in (
             (np.ndim(self.conductivity) > 0, "one conductivity, not a field"),
             (self.held is not None, "no held nodes"),
+            (self.ions is not None, "no ions in the liquid"),
             (max(spacing) > min(spacing) * (1 + 1e-9), "one spacing along all axes"),
             (count > most, f"at most {most:,} nodes of liquid, not {count:,}"),
         ):
@@ -186,6 +194,12 @@ class GalvanicScene:
     def metal(self) -> np.ndarray:
         """Nodes that are metal at the start, bool."""
         return np.any([metal.nodes for metal in self.metals], axis=0)
+
+    def conducts(self, content: np.ndarray | None) -> float | np.ndarray:
+        """kappa of the liquid, S/m, that holds so much of the metals (mol/m^3; None: no ions)."""
+        if self.ions is None or content is None:
+            return self.conductivity
+        return self.ions.conducts(content)
 
     def phases(self) -> np.ndarray:
         """Number of each node's metal, from 1; 0 in the liquid; uint8."""

@@ -14,6 +14,11 @@ Rest potentials: with linear laws of almost no resistance the currents are i_p. 
 at the patch with the largest overpotential is at most the largest i_p, so no metal is off its rest
 potential by more than eta(max i_p), and the currents of two metals change by at most the sum of
 both over the difference of their rest potentials.
+
+Ions: what the currents of the start give the liquid until the end reaches a concentration that
+one solution bounds (galvanic_ions.IonTransport.highest), and saturation.  By how much of itself the
+conductivity changes up to there, times the liquid's share of the resistance
+(PotentialProblem.ohmic_shares), bounds the currents' change to first order.
 """
 
 from __future__ import annotations
@@ -27,15 +32,18 @@ import numpy as np
 from scipy.optimize import brentq
 
 from peri.coupled.galvanic import GalvanicResult, corrode
-from peri.coupled.galvanic_march import GalvanicProblem, Renewal
+from peri.coupled.galvanic_ions import IonTransport
+from peri.coupled.galvanic_march import GalvanicProblem
+from peri.coupled.galvanic_renewal import Renewal
 from peri.coupled.galvanic_scene import GalvanicScene
+from peri.engine.march.problem import Fields, State
 from peri.engine.omission import DEFAULT_TOLERANCE, Omission, check_request
 from peri.transport.potential.polarization import LinearPolarization, Polarization
 
 log = logging.getLogger(__name__)
 
-POTENTIAL, KINETICS, RENEWAL = "potential", "kinetics", "renewal"
-OMITTABLE = (POTENTIAL, KINETICS, RENEWAL)
+POTENTIAL, KINETICS, IONS, RENEWAL = "potential", "kinetics", "ions", "renewal"
+OMITTABLE = (POTENTIAL, KINETICS, IONS, RENEWAL)
 """What may be refused."""
 _FARTHEST = 100.0
 """V; a law without zero current up to there has no rest potential."""
@@ -48,8 +56,11 @@ def couple_omissions(
     renewal: Renewal | None = None,
     tolerance: float = DEFAULT_TOLERANCE,
     refused: Collection[str] = (),
+    end: float | None = None,
 ) -> list[Omission]:
     """What the march of a couple can leave out within `tolerance` of its currents.
+
+    end : of the march, s, which bounds the ions that it gives to the liquid.
 
     Raises ValueError for a tolerance outside [0, 1), an unknown name in `refused`, and as
     PotentialProblem does.
@@ -58,7 +69,8 @@ def couple_omissions(
     if scene.robin == "as_published":
         reason = "needed: the bounds are of bonds that carry the law's current, not of mirror nodes"
         return [Omission(name, reason, np.inf, False, "a current") for name in OMITTABLE]
-    even, fast = _one_level(scene), _at_rest(scene)
+    clean = replace(scene, ions=None)
+    even, fast = _one_level(clean), _at_rest(clean)
     wanted = [
         (POTENTIAL, *even),
         (KINETICS, *(fast if not even[0] <= tolerance else (np.inf, "the potential is left out"))),
@@ -67,12 +79,63 @@ def couple_omissions(
         Omission(name, reason, bound, bound <= tolerance and name not in refused, "a current")
         for name, bound, reason in wanted
     ]
+    follows = scene.ions is not None
+    if follows:
+        bound, reason = ions_bound(scene, end)
+        if found[0].applied:
+            bound, reason = min(bound, even[0]), "the potential is left out"
+        small = bound <= tolerance and IONS not in refused
+        found.append(Omission(IONS, reason, bound, small, "a current"))
+        follows = not small
+    if follows:
+        reason = "needed: the conductivity changes with the ions in every step"
+        return [*found, Omission(RENEWAL, reason, np.inf, False, "the currents' sum")]
     keeps = RENEWAL not in refused and tolerance > 0
     reason = (
         "the potential is kept after a step in which no node goes and the surfaces have receded "
         "too little to change the currents by more"
     )
     return [*found, Omission(RENEWAL, reason, tolerance, keeps, "the currents' sum")]
+
+
+def ions_bound(
+    scene: GalvanicScene,
+    end: float | None,
+    fields: Fields | None = None,
+    growth: float = 1.0,
+) -> tuple[float, str]:
+    """Bound of the currents' error without the ions, to first order, and why.
+
+    end : s; None: only saturation bounds the ions.  fields : of a state (by default that at the
+    start).  growth : what multiplies the currents of that.
+    """
+    ions, problem = scene.ions, GalvanicProblem(replace(scene, ions=None))
+    assert ions is not None
+    state = State(0.0, problem.untouched() if fields is None else dict(fields), {})
+    electric = problem.potential_problem(state.fields)
+    if electric is None:
+        return 0.0, "no metal touches the liquid"
+    found = problem.solve(state.fields, None)
+    most = ions.saturation_concentration or np.inf
+    if end is not None:
+        state.fields["density"] = np.abs(found.density)
+        coupled, alone, _ = problem.rates(state)
+        given = found.patches.shares.T @ (growth * coupled + alone)
+        transport = IonTransport(ions, scene.lattice, scene.stencil)
+        liquid = ~problem.metal(state.fields["concentration"])
+        most = min(most, transport.highest(given, liquid, end))
+    if not np.isfinite(most):
+        return np.inf, "needed: nothing bounds what the liquid dissolves"
+    try:
+        kappa = ions.conductivity.of(np.linspace(0.0, most, 1001))
+    except ValueError:
+        return np.inf, f"needed: the law of the conductivity ends below {most:.3g} mol/m3"
+    change = float(np.abs(kappa / kappa[0] - 1.0).max())
+    share = float(electric.ohmic_shares(found).max())
+    return change * share, (
+        f"at most {most:.3g} mol/m3 of ions change the conductivity by {100 * change:.2g} %, and "
+        f"the liquid's share of the resistance is at most {share:.2g}"
+    )
 
 
 def _one_level(scene: GalvanicScene) -> tuple[float, str]:
@@ -175,24 +238,27 @@ def corrode_lean(
     currents are computed whole once more, and where they are off by more than the tolerance (a gap
     that has grown, say) the couple is marched again with nothing of the two left out.
     """
-    omissions = couple_omissions(scene, renewal, tolerance, refused)
+    omissions = couple_omissions(scene, renewal, tolerance, refused, float(max(times, default=0.0)))
     applied = {o.name for o in omissions if o.applied}
     how = renewal or Renewal()
     if RENEWAL in applied:
         how = replace(how, change=tolerance)
-    marched = scene
+    marched = replace(scene, ions=None) if IONS in applied else scene
     if KINETICS in applied:
-        fast = at_rest_potentials(scene)
+        fast = at_rest_potentials(marched)
         assert fast is not None
         marched = fast
     result = corrode(
         marched, times, how, one_level=POTENTIAL in applied, progress=progress,
         checkpoint=checkpoint, resume=resume,
     )  # fmt: skip
-    off = _off_at_end(scene, result) if applied - {RENEWAL} else 0.0
+    off = _off_at_end(scene, result) if applied & {POTENTIAL, KINETICS} else 0.0
+    if IONS in applied and POTENTIAL not in applied:
+        off = max(off, _ions_at_end(scene, result))
     if off <= tolerance:
         return replace(result, scene=scene), omissions
     log.info("currents are %.2g off at the end: marched again", off)
+    how = replace(how, change=0.0) if IONS in applied else how
     result = corrode(scene, times, how, progress=progress)
     text = f"needed: the currents are {off:.2g} off at the end"
     return result, [
@@ -201,14 +267,32 @@ def corrode_lean(
     ]
 
 
-def _off_at_end(scene: GalvanicScene, result: GalvanicResult) -> float:
-    """How far the last currents are from those of the whole couple, over the largest of them."""
-    problem = GalvanicProblem(scene)
+def _at_end(problem: GalvanicProblem, result: GalvanicResult) -> Fields:
+    """Metal and leads of the last output."""
     concentration = result.fields["concentration"][-1]
-    fields = {
+    return {
         "concentration": concentration,
         "lead": problem.still_led(problem.metal(concentration)),
     }
+
+
+def _ions_at_end(scene: GalvanicScene, result: GalvanicResult) -> float:
+    """The bound without ions of the couple that is left, by the largest current that there was."""
+    sizes = sum(np.abs(result.history[f"current_{metal.name}"]) for metal in scene.metals)
+    if not sizes[-1] > 0:
+        return 0.0
+    fields = _at_end(GalvanicProblem(replace(scene, ions=None)), result)
+    growth = float(sizes.max() / sizes[-1])
+    return ions_bound(scene, float(result.times[-1]), fields, growth)[0]
+
+
+def _off_at_end(scene: GalvanicScene, result: GalvanicResult) -> float:
+    """How far the last currents are from those of the whole couple, over the largest of them."""
+    follows = "ions" in result.fields
+    problem = GalvanicProblem(scene if follows else replace(scene, ions=None))
+    fields = _at_end(problem, result)
+    if follows:
+        fields["ions"] = result.fields["ions"][-1] + result.fields["salt"][-1]
     names = [f"current_{metal.name}" for metal in scene.metals]
     last = np.array([result.history[name][-1] for name in names])
     if not last.any():

@@ -22,7 +22,15 @@ from pipeline.scene.units import format_length
 from pipeline.scenes.bodies import body_solid, nodes_of, thinnest_gap
 from pipeline.scenes.keys import TEXT, Given, Key, positive
 from pipeline.scenes.lattices import LATTICE_KEYS, horizon_of, lattice_between
-from pipeline.scenes.metals import LIQUID_KEYS, METAL_KEYS, Beside, conductivity, metals_of
+from pipeline.scenes.metals import (
+    ION_KEYS,
+    LIQUID_KEYS,
+    METAL_KEYS,
+    Beside,
+    conductivity,
+    ions_of,
+    metals_of,
+)
 from pipeline.scenes.outcome import Curve, Outcome, Panel, Prepared
 
 if TYPE_CHECKING:
@@ -44,6 +52,7 @@ KEYS: dict[str, Key] = {
         allowed=("refused", "accepted"),
     ),
     **{f"liquid.{name}": key for name, key in LIQUID_KEYS.items()},
+    **{f"ions.{name}": key for name, key in ION_KEYS.items()},
     **{f"metals.*.{name}": key for name, key in METAL_KEYS.items()},
     "potential.robin": Key(
         TEXT,
@@ -68,21 +77,28 @@ KEYS: dict[str, Key] = {
     "reduce.keep": Key(
         TEXT,
         "what is computed whatever its bound",
-        ["potential", "kinetics", "renewal"],
+        ["potential", "kinetics", "ions", "renewal"],
         allowed=OMITTABLE,
         several=True,
+    ),
+    "time.conductivity_change": positive(
+        "dimensionless", "of the liquid in a step, by its ions, over itself (0.1)", 0.1, at_most=1.0
     ),
     "time.longest_step": positive("time", "of a step (none)", "6h"),
 }
 """Keys of a couple's file."""
 _UNITS_OF_CURRENT = ("A/m2", "A/m", "A")
-_FIELD_UNITS = {
+FIELD_UNITS = {
     "concentration": "mol/m3",
     "metal": "",
     "potential": "V",
     "current_density": "A/m2",
     "electrode_potential": "V",
+    "ions": "mol/m3",
+    "salt": "mol/m3",
+    "conductivity": "S/m",
 }
+"""Of what a couple's march gives."""
 
 
 def ae44_scene(
@@ -138,6 +154,7 @@ def build(
         raise ValueError(f"{given.file}: [metals.NAME] is missing; a couple has metals")
     metals, _ = metals_of(given, nodes, beside)
     kappa = conductivity(given, beside)
+    ions = None if insulated else ions_of(given, metals, lattice, float(np.max(horizon)), kappa)
     if insulated:
         metals = tuple(replace(metal, law=Insulated()) for metal in metals)
     if cathodes != 1.0:
@@ -147,7 +164,7 @@ def build(
         )
     robin = given.text("potential.robin") if "potential.robin" in given else ROBIN[0]
     try:
-        scene = GalvanicScene(lattice, horizon, metals, kappa, robin=robin)
+        scene = GalvanicScene(lattice, horizon, metals, kappa, robin=robin, ions=ions)
     except ValueError as error:
         if not str(error).startswith("robin"):
             raise
@@ -165,7 +182,7 @@ def prepare(given: Given) -> Prepared:
         given.values,
         functools.partial(_march, scene, renewal, lean),
         beside.values,
-        lambda end: couple_omissions(scene, renewal, *lean),
+        lambda end: couple_omissions(scene, renewal, *lean, end=end),
         f"{scene.metal().size:,} nodes, {int((~scene.metal()).sum()):,} of liquid",
     )
 
@@ -198,7 +215,8 @@ def renewal_of(given: Given) -> Renewal:
     travel = given.otherwise("time.travel", 0.1, "1", "0.1 spacings; see perilife study galvanic")
     assert isinstance(travel, float)
     longest = given.number("time.longest_step") if "time.longest_step" in given else np.inf
-    return Renewal(travel, longest)
+    most = given.number("time.conductivity_change") if "time.conductivity_change" in given else 0.1
+    return Renewal(travel, longest, conductivity=most)
 
 
 @dataclass(frozen=True)
@@ -237,7 +255,7 @@ def _march(
     on_lattice = ("time", *axes_of(lattice))
     fields = {"phase": Field(scene.phases(), "", axes_of(lattice))}
     for name, values in result.fields.items():
-        fields[name] = Field(values, _FIELD_UNITS[name], on_lattice)
+        fields[name] = Field(values, FIELD_UNITS[name], on_lattice)
     anode = scene.metals[dissolves]
     current = result.history[f"current_{anode.name}"]
     depths = result.depths()
@@ -257,6 +275,8 @@ def _march(
             "of the currents",
         ),
     }
+    if "balance_error" in result.history:
+        summary |= _of_ions(result)
     for omission in omissions:
         if omission.applied:
             summary[f"left out: {omission.name}, bound"] = (omission.bound, f"of {omission.of}")
@@ -281,6 +301,21 @@ def _march(
         _panels(scene, result, dissolves),
         result.wall_time,
     )
+
+
+def _of_ions(result: GalvanicResult) -> dict[str, tuple[float, str]]:
+    """What the ions of a couple have become, for the summary."""
+    history = result.history
+    held = max(float(history["ions_amount"][-1]), 1e-300)
+    return {
+        "most ions dissolved, at the end": (float(history["highest_ions"][-1]), "mol/m3"),
+        "highest conductivity, at the end": (float(history["highest_conductivity"][-1]), "S/m"),
+        "salt at the end": (float(history["salt_amount"][-1]) / held, "of the ions"),
+        "metal and ions left open, largest": (
+            float(np.abs(history["balance_error"]).max()),
+            "of the metal",
+        ),
+    }
 
 
 def _panels(scene: GalvanicScene, result: GalvanicResult, dissolves: int) -> list[Panel]:

@@ -103,7 +103,7 @@ def prepare(given: Given) -> Prepared:
     )
 
     def reductions(end: float) -> list[Omission]:
-        return couple_omissions(coupled, renewal, *lean)
+        return couple_omissions(coupled, renewal, *lean, end=end)
 
     return Prepared(given.values, march, beside.values, reductions, size)
 
@@ -248,9 +248,7 @@ def _march(
     )  # fmt: skip
     lattice = made.coupled.lattice
     over = ("time", *axes_of(lattice))
-    units = {"concentration": "mol/m3", "metal": "", "potential": "V"}
-    units |= {"current_density": "A/m2", "electrode_potential": "V"}
-    fields = {n: Field(v, units[n], over) for n, v in together.fields.items()}
+    fields = {n: Field(v, couples.FIELD_UNITS[n], over) for n, v in together.fields.items()}
     fields["concentration_insulated"] = Field(apart.fields["concentration"], "mol/m3", over)
     fields["phase"] = Field(made.coupled.phases(), "", axes_of(lattice))
     weeks = together.times / WEEK
@@ -282,6 +280,17 @@ def _march(
                    1e6 * together.history[f"current_{implant.name}"])],
         ),
     ]  # fmt: skip
+    if forces is not None:
+        ends = np.array([0.0, weeks[-1]])
+        panels.append(
+            Panel(
+                "Strength, before and at the end", "time / weeks", "left / %",
+                [
+                    Curve(name, ends, 100 * np.array([1.0, force / forces[0]]))
+                    for name, force in zip(("coupled", "insulated"), forces[1:], strict=True)
+                ],
+            )
+        )  # fmt: skip
     return Outcome(
         lattice, together.times, fields, together.history, together.columns, summary, panels,
         together.wall_time + apart.wall_time,

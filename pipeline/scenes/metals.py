@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 
 from peri.corrosion.kinetics import ConstantRate, Kinetics, VolumeLossLaw
 from peri.corrosion.polarization import ButlerVolmerCurve, TafelCurve
 from peri.coupled.galvanic import Metal
+from peri.coupled.galvanic_ions import Ions
 from peri.engine.constants import FARADAY, GAS_CONSTANT
+from peri.engine.lattice import Lattice
+from peri.transport.potential.conductivity import (
+    ConductivityLaw,
+    IonConductivity,
+    TabulatedConductivity,
+)
 from peri.transport.potential.polarization import Insulated, LinearPolarization, Polarization
 from perilife_data import (
     Electrode,
@@ -24,6 +33,7 @@ from pipeline.scenes.bodies import BODY_KEYS
 from pipeline.scenes.keys import TEXT, Given, Key, positive
 from pipeline.scenes.outcome import Value
 
+T = TypeVar("T")
 LAWS = ("linear", "tafel", "butler-volmer", "insulated")
 METAL_KEYS: dict[str, Key] = {
     **BODY_KEYS,
@@ -52,6 +62,33 @@ LIQUID_KEYS: dict[str, Key] = {
         TEXT, "in place of it: kappa of a medium's ions, undisturbed", "sodium-chloride-142"
     ),
 }
+ION_KEYS: dict[str, Key] = {
+    "diffusivity": positive(
+        "diffusivity", "of the metals' ions; left out: none are followed", "7.1e-10 m^2/s"
+    ),
+    "saturation_concentration": positive(
+        "concentration", "above which they are salt; left out: they never are", "0.21 mol/m^3"
+    ),
+    "renewed": Key(
+        TEXT,
+        "where liquid is renewed, a horizon wide: nowhere (left out), top (of the last axis) or "
+        "edges",
+        "top",
+        allowed=("nowhere", "top", "edges"),
+    ),
+    "counter_diffusivity": positive(
+        "diffusivity", "of their counter-ions of charge 1 (chloride)", "2.03e-9 m^2/s"
+    ),
+    "temperature": positive("temperature", "of the conductivity's law (25 degC)", "25 degC"),
+    "concentrations": Key(
+        "concentration", "points of a measured conductivity in its place, from 0 on",
+        ["0 mol/m^3", "100 mol/m^3"], at_least=0.0, several=True,
+    ),
+    "conductivities": positive(
+        "conductivity", "at these points, the first that of the clean liquid",
+        ["2.5 S/m", "3.6 S/m"], several=True,
+    ),
+}  # fmt: skip
 
 
 @dataclass
@@ -88,6 +125,67 @@ def conductivity(given: Given, beside: Beside) -> float:
         kappa, "S/m", "", "F^2/(RT) sum z^2 D C of the ions as listed, dilute", "derived"
     )
     return kappa
+
+
+def ions_of(
+    given: Given, metals: tuple[Metal, ...], lattice: Lattice, horizon: float, clean: float
+) -> Ions | None:
+    """The ions that a file follows in its liquid, which conducts `clean` (S/m) without them.
+
+    Raises ValueError for what does not fit.
+    """
+    if "ions.diffusivity" not in given:
+        return None
+    diffusivity = given.number("ions.diffusivity")
+    charges = {metal.charge_number for metal in metals if metal.solid_concentration}
+    if not charges:
+        raise ValueError(f"{given.file}: ions.diffusivity is given, but no metal dissolves")
+    law: ConductivityLaw
+    if "ions.concentrations" in given or "ions.conductivities" in given:
+        points = [given[f"ions.{name}"] for name in ("concentrations", "conductivities")]
+        law = _named(given, TabulatedConductivity, *(tuple(p) for p in points))  # type: ignore[arg-type]
+    else:
+        if len(charges) > 1:
+            raise ValueError(
+                f"{given.file}: charge_number is {', '.join(f'{z:g}' for z in sorted(charges))}; "  # type: ignore[type-var]
+                "with ions it must be one, or give ions.concentrations and ions.conductivities"
+            )
+        counter = given.otherwise("ions.counter_diffusivity", 2.03e-9, "m^2/s", "of chloride")
+        temperature = given.otherwise("ions.temperature", 298.15, "K", "25 degC")
+        law = IonConductivity(clean, charges.pop(), diffusivity, counter, temperature)  # type: ignore[arg-type]
+    most = (
+        given.number("ions.saturation_concentration")
+        if "ions.saturation_concentration" in given
+        else None
+    )
+    where = given.text("ions.renewed") if "ions.renewed" in given else "nowhere"
+    ions = Ions(diffusivity, law, most, _renewed(lattice, horizon, where))
+    _named(given, ions.check, lattice.shape, clean)
+    return ions
+
+
+def _named(given: Given, make: Callable[..., T], *values: object) -> T:
+    """What `make` gives; its refusal names the file."""
+    try:
+        return make(*values)
+    except ValueError as error:
+        raise ValueError(f"{given.file}: [ions] {error}") from None
+
+
+def _renewed(lattice: Lattice, horizon: float, where: str) -> np.ndarray | None:
+    """Nodes within a horizon of the upper edge of the last axis, or of every edge."""
+    if where == "nowhere":
+        return None
+    out = np.zeros(lattice.shape, bool)
+    for a in range(lattice.dimension):
+        if where == "top" and a < lattice.dimension - 1:
+            continue
+        wide = round(horizon / lattice.spacing[a])
+        plane = np.moveaxis(out, a, 0)
+        plane[-wide:] = True
+        if where == "edges":
+            plane[:wide] = True
+    return out
 
 
 def metals_of(

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -15,10 +16,13 @@ import numpy as np
 from peri.corrosion.run import corrode as corrode_pit
 from peri.corrosion.scene import CorrosionScene
 from peri.coupled.galvanic import ROBIN, GalvanicScene, Renewal, corrode
+from peri.coupled.galvanic_ions import Ions
+from peri.coupled.wagner import ions_bound
 from peri.engine.march.marching import TimeStepping, march
 from peri.omissions.thin_gap import ThinGapProblem
+from peri.transport.potential.conductivity import IonConductivity
 from pipeline.scenes import crevice_lattice, crevices, pits, pits_2d
-from pipeline.scenes.couples import ae44_scene
+from pipeline.scenes.couples import CHARGE_NUMBER, CONDUCTIVITY, ae44_scene
 from pipeline.studies.rates import table_line
 
 DAY, HOUR = 86400.0, 3600.0
@@ -27,6 +31,8 @@ COMSOL = {1.0: 0.2369, 1e-4: 0.2611}
 for steps of 1 and 1e-4 mm (Zhao et al. 2021, Table C1)."""
 FIRST_CURRENT = {"mild-steel": 0.4120, "AA6063": 0.05141}
 """A/m, of AE44 with each cathode at the start, by finite volumes."""
+BRUCITE = 0.21
+"""mol/m3 of magnesium over brucite in 0.142 mol/L of NaCl (tests/peri/transport/chemistry)."""
 SALT_ONSET = 1002.349
 """s, exact moving boundary, 304 steel at 5,100 A/m2."""
 
@@ -92,6 +98,7 @@ def print_galvanic() -> None:
                 row = [str(error)]
             print(table_line([name, *row]), flush=True)
         print_robin(cathode)
+        print_ions(cathode)
     steps = ", ".join(f"{depth:g} mm for {step:g} mm" for step, depth in COMSOL.items())
     print(f"\nPublished for AA6063 at the joint, by the step of a mesh: {steps}.")
 
@@ -109,6 +116,26 @@ def print_robin(cathode: str) -> None:
             left = 100 * np.abs(found["imbalance"]).max()
             cells = [f"{spacing:g}", robin, f"{off:+.3f}", f"{left:.2g}", *row]
             print(table_line(cells), flush=True)
+
+
+def print_ions(cathode: str) -> None:
+    """What the ions of AE44 change where they stay dissolved up to C_sat, and its bound."""
+    print("\nIons of AE44 in a cell renewed at its top (D 7e-10 m2/s, with chloride), 0.2 mm,")
+    print("horizon 0.4 mm: kappa(C) up to a saturation, and the bound of leaving them out.")
+    _head(["C_sat [mol/m3]", "bound [%]", "highest kappa [S/m]", *_COUPLE])
+    clean = ae44_scene(cathode, 0.2e-3)
+    law = IonConductivity(CONDUCTIVITY, CHARGE_NUMBER, 7e-10)
+    height = clean.lattice.coordinates()[1]
+    top = np.broadcast_to(height > height.max() - 0.4e-3, clean.lattice.shape)
+    for most in (None, BRUCITE, 100.0):
+        scene, bound = clean, ""
+        if most is not None:
+            scene = replace(clean, ions=Ions(7e-10, law, most, top))
+            bound = f"{100 * ions_bound(scene, 3 * DAY)[0]:.2g}"
+        row, found = couple_row(scene, 0.25)
+        kappa = found.get("highest_conductivity", np.full(1, CONDUCTIVITY))[-1]
+        shown = "not followed" if most is None else f"{most:g}"
+        print(table_line([shown, bound, f"{kappa:.3f}", *row]), flush=True)
 
 
 # --- crevice --------------------------------------------------------------------------------

@@ -1,6 +1,6 @@
 """Random galvanic scenes and their bounds; `python -m tests.extreme.random_couples 1000`.
 
-After the couples a quarter as many pits (random_pits).
+After the couples a quarter as many whose ions are followed, and as many pits (random_pits).
 
 Lattices of one to three axes, spacings and horizons of many sizes, conductivities of 1e-3 to
 10 S/m, slopes of 5 mV to 1 V, polarization resistances of 1e-6 to 1e3 ohm m2, electrodes up to 2 V
@@ -10,14 +10,17 @@ off, blobs of metal that may be one node, touch, enclose liquid or be cut apart 
 import sys
 import time
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 from scipy import ndimage
 
 from peri.corrosion.polarization import ButlerVolmerCurve, TafelCurve
 from peri.coupled.galvanic import GalvanicScene, Metal, Renewal, corrode
+from peri.coupled.galvanic_ions import Ions
 from peri.engine.constants import FARADAY
 from peri.engine.lattice import Lattice
+from peri.transport.potential.conductivity import IonConductivity
 from peri.transport.potential.polarization import LinearPolarization
 from tests.extreme.random_pits import check_pit
 
@@ -65,11 +68,27 @@ def random_scene(seed: int) -> tuple[GalvanicScene, float]:
     return scene, 10.0 ** rng.uniform(2, 8)
 
 
-def check(seed: int) -> str:
+def with_ions(scene: GalvanicScene, seed: int) -> GalvanicScene:
+    """The scene with ions of any diffusivity and saturation, some of its liquid renewed."""
+    rng = np.random.default_rng([seed, 1])
+    law = IonConductivity(float(scene.conductivity), 2.0, 10.0 ** rng.uniform(-10, -8))
+    most = 10.0 ** rng.uniform(-2, 4) if rng.uniform() < 0.7 else None
+    renewed = rng.uniform(size=scene.lattice.shape) < 0.2 if rng.uniform() < 0.5 else None
+    return replace(scene, ions=Ions(10.0 ** rng.uniform(-11, -7), law, most, renewed))
+
+
+def check_ions(seed: int) -> str:
+    """As `check`, with ions that are followed."""
+    return check(seed, ions=True)
+
+
+def check(seed: int, ions: bool = False) -> str:
     """March one scene; what became of it. AssertionError where a bound is broken."""
     scene, end = random_scene(seed)
+    if ions:
+        scene = with_ions(scene, seed)
     try:
-        result = corrode(scene, [0.3 * end, end], Renewal(1.0, longest=end / 3))
+        result = corrode(scene, [0.3 * end, end], Renewal(1.0, longest=end / 3, conductivity=1.0))
     except ValueError as error:
         assert "needs a sink" in str(error), (seed, error)
         return "no sink"
@@ -82,6 +101,15 @@ def check(seed: int) -> str:
     assert (concentration[1] <= concentration[0]).all(), seed
     assert (np.diff(history["metal_amount"]) <= 1e-15 * history["metal_amount"][0]).all(), seed
     assert np.isfinite([history[name] for name in history]).all(), seed
+    if scene.ions is not None:
+        # round-off of steps that are 1e6 times as long as a node's diffusion
+        assert np.abs(history["balance_error"]).max() < 1e-10, (seed, history["balance_error"])
+        dissolved, salt = fields["ions"], fields["salt"]
+        most = scene.ions.saturation_concentration or np.inf
+        assert dissolved.min() >= 0.0 and dissolved.max() <= most, seed
+        assert (dissolved[salt > 0] == most).all(), seed
+        assert not dissolved[fields["metal"]].any(), seed
+        assert np.nanmin(fields["conductivity"]) >= float(scene.conductivity) * (1 - 1e-12), seed
     alone = sum(m.self_corrosion for m in scene.metals)
     charges = {m.charge_number for m in scene.metals if m.charge_number}
     if len(charges) == 1 and not alone:
@@ -95,7 +123,9 @@ if __name__ == "__main__":
     outcomes = Counter()
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 100
     started = time.process_time()
-    todo = [(n, check) for n in range(count)] + [(n, check_pit) for n in range(count // 4)]
+    few = range(count // 4)
+    todo = [(n, check) for n in range(count)]
+    todo += [(n, one) for one in (check_ions, check_pit) for n in few]
     for number, one in todo:
         try:
             outcomes[one(number)] += 1
@@ -104,5 +134,6 @@ if __name__ == "__main__":
             print(one.__name__, number, type(error).__name__, str(error)[:200], flush=True)
     spent = time.process_time() - started
     print(
-        f"{count} couples and {count // 4} pits, {spent:.0f} s of processor time: {dict(outcomes)}"
+        f"{count} couples, {len(few)} with ions and {len(few)} pits, {spent:.0f} s of processor "
+        f"time: {dict(outcomes)}"
     )

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.extreme.random_couples import check
+from tests.extreme.random_couples import check, check_ions
 from tests.extreme.random_pits import check_pit
 
 
@@ -10,6 +10,12 @@ from tests.extreme.random_pits import check_pit
 def test_a_random_couple_keeps_its_bounds(seed):
     """Balanced pools, Faraday's law, contents that only fall; these once broke one of them."""
     assert check(seed) in ("marched", "used up")
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3, 4, 5])
+def test_a_random_couple_with_ions_keeps_its_bounds(seed):
+    """Metal, ions, salt and what is renewed add up; nothing is negative or above saturation."""
+    assert check_ions(seed) in ("marched", "used up", "no sink")
 
 
 @pytest.mark.parametrize("seed", [4, 31, 40])

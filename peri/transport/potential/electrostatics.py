@@ -153,22 +153,31 @@ class PotentialProblem:
         self._pool = pad(np.where(self.liquid, pool, 0)).astype(int)
         self.unknown = pad(self.liquid & ~fixed)
         self.held = pad(np.where(fixed, -np.nan_to_num(held if held is not None else 0.0), 0.0))
-        if operator is None:
-            root = pad(np.sqrt(np.where(self.liquid, kappa, 0.0)))
-            operator = Convolution(self.sum, self.unknown * root, root, symmetric=True)
-            if walls:
-                along = Walls(self.sum)
-                along.update(self.liquid, kappa)
-                operator = WithWalls(operator, along)
-        self.operator = operator
         self.volume = lattice.cell_volume
         self._columns = np.flatnonzero(np.diff(self.patches.shares.tocsc().indptr))
         self._shares = self.patches.shares[:, self._columns].tocsr()
         self._free = self.unknown.ravel()[self._columns] > 0
-        local = np.where(np.isfinite(kappa) & (kappa > 0), kappa, 1.0)
-        self._at_patch = self._shares @ pad(local).ravel()[self._columns]
-        self.recede(np.zeros(len(self.patches.area)))
         self._voltage = np.array([e.potential for e in self.electrodes])[self.patches.electrode]
+        self._along = Walls(self.sum) if walls and operator is None else None
+        self.conduct(kappa, operator)
+
+    def conduct(self, conductivity: np.ndarray, operator: Operator | None = None) -> None:
+        """Let the liquid conduct by kappa (of the lattice's shape, S/m) from now on.
+
+        operator : its bonds, where they are not the default's; surfaces are where they were at the
+        start until `recede` says where they are.
+        """
+        if operator is None:
+            root = self.sum.pad(np.sqrt(np.where(self.liquid, conductivity, 0.0)))
+            operator = Convolution(self.sum, self.unknown * root, root, symmetric=True)
+            if self._along is not None:
+                self._along.update(self.liquid, conductivity)
+                operator = WithWalls(operator, self._along)
+        self.operator = operator
+        there = np.isfinite(conductivity) & (conductivity > 0)
+        local = self.sum.pad(np.where(there, conductivity, 1.0))
+        self._at_patch = self._shares @ local.ravel()[self._columns]
+        self.recede(np.zeros(len(self.patches.area)))
         self._system: LinearSystem | None = None
         self._row_sums = operator.row_sums()
         self._weight = self.volume * operator.diagonal()
@@ -326,6 +335,32 @@ class PotentialProblem:
         np.maximum.at(high, pools, u[self.unknown > 0])
         np.minimum.at(low, pools, u[self.unknown > 0])
         return float((high - low)[np.isfinite(high)].max(initial=0.0))
+
+    def ohmic_shares(self, found: PotentialField) -> np.ndarray:
+        """By electrode: its current's largest relative change over a relative change of kappa.
+
+        First order, wherever kappa changes: with A the bonds and v the change of u by a change of
+        the electrode's potential, dI = <v, dA u>, at most d kappa / kappa sqrt(<u, A u> <v, A v>);
+        what lies between patch and surface is part of both.  Of one pair of electrodes it is the
+        share of the voltage that the liquid takes.  infinite where no current flows.
+        """
+        u = self.held - self.unknown * self.sum.pad(np.nan_to_num(found.potential))
+        _, density, slope = self._currents(self._see(u))
+        area, apart = self.patches.area, self._resistance
+        power = float((self._flux(u) * u).sum()) + float((area * apart * density**2).sum())
+        shares = []
+        for number in range(len(self.electrodes)):
+            own = (self.patches.electrode == number).astype(float)
+            current = abs(float((own * area * density).sum()))
+            right = self._spread(area * slope * own)
+            if not current > 0 or not right.any():
+                shares.append(np.inf if right.any() else 0.0)
+                continue
+            v = self._newton_direction(right, slope, 1e-6)[0]
+            through = slope * (own - self._see(v))
+            other = float((self._flux(v) * v).sum()) + float((area * apart * through**2).sum())
+            shares.append(np.sqrt(max(power, 0.0) * max(other, 0.0)) / current)
+        return np.array(shares)
 
     def _newton(self, start: np.ndarray, tolerance: float) -> PotentialField:
         """`solve` from a starting value of u, 0 off the unknowns."""

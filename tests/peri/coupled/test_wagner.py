@@ -113,7 +113,7 @@ def test_a_potential_that_is_needed_in_the_end_is_computed_after_all():
 
 def test_refusals():
     scene = couple(1.0, *LAWS[0])
-    with pytest.raises(ValueError, match="known: potential, kinetics, renewal"):
+    with pytest.raises(ValueError, match="known: potential, kinetics, ions, renewal"):
         couple_omissions(scene, refused=["transport"])
     with pytest.raises(ValueError, match="change: 1.0; it must be from 0"):
         Renewal(change=1.0)

@@ -5,6 +5,7 @@ import json
 import re
 from dataclasses import fields, is_dataclass
 
+import h5py
 import numpy as np
 import pytest
 
@@ -48,6 +49,14 @@ rest_potential = -1.2
 dissolves = "yes"
 alloy = "Mg-5Gd"
 self_corrosion = { value = "1e-7 mol/(m^2 s)", source = "my notebook", kind = "measured" }
+"""
+
+
+IONS = """
+[ions]
+diffusivity = "7e-10 m^2/s"
+saturation_concentration = "200 mol/m^3"
+renewed = "top"
 """
 
 
@@ -116,6 +125,38 @@ def test_the_files_make_the_scenes_of_the_studies():
     for mine, theirs in zip(one.metals, other.metals, strict=True):
         assert np.array_equal(mine.nodes, theirs.nodes) and mine.law == theirs.law
         assert mine.solid_concentration == theirs.solid_concentration
+
+
+def test_a_file_follows_its_ions(tmp_path, capsys):
+    """More current as the liquid conducts more; a plan says what leaving them out would change."""
+    file, out, currents = tmp_path / "own.toml", tmp_path / "runs", []
+    for name, more in (("without", ""), ("with", IONS)):
+        file.write_text(OWN + more)
+        assert main(["run", str(file), "--out", str(out / name), "--quiet"]) == 0
+        with (out / name / "summary.csv").open(newline="", encoding="utf-8") as table:
+            found = {row["quantity"]: float(row["value"]) for row in csv.DictReader(table)}
+        currents.append(found["current at the end"])
+    assert currents[1] > 1.005 * currents[0] > 0
+    assert 0 < found["metal and ions left open, largest"] < 1e-13
+    assert 0 < found["most ions dissolved, at the end"] <= 200.0
+    with h5py.File(out / "with" / "result.h5") as stored:
+        kappa = stored["conductivity"][-1]
+        assert stored["ions"].attrs["unit"] == "mol/m3" and stored["salt"].shape[0] == 2
+        assert np.nanmax(kappa) > 1.1 * np.nanmin(kappa)
+    capsys.readouterr()
+    assert main(["plan", str(file), "--json"]) == 0
+    said = {o["name"]: o for o in json.loads(capsys.readouterr().out)["omissions"]}
+    assert not said["ions"]["applied"] and said["ions"]["bound"] > 1e-3
+    points = 'concentrations = ["0 mol/m^3", 200]\nconductivities = [2, 3]\n'
+    for table, words in (
+        (IONS.replace("7e-10", "0"), "ions.diffusivity is '0 m^2/s'; it must be above 0"),
+        (IONS.replace('"top"', '"left"'), "must be one of nowhere, top, edges"),
+        (IONS + points, "[ions] ions: 2 S/m without any by their law"),
+        (IONS + "conductivities = [2, 3]\n", "ions.concentrations is missing"),
+        ('[ions]\nrenewed = "top"\n', "ions.renewed is given, but a scene with these"),
+    ):
+        file.write_text(OWN + table)
+        refused(capsys, ["plan", str(file)], words)
 
 
 def test_a_file_of_ones_own_runs_and_its_stored_scene_repeats_it(tmp_path, capsys):

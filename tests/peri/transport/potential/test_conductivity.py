@@ -9,7 +9,7 @@ from peri.corrosion.polarization.tafel import TafelCurve
 from peri.coupled.galvanic import GalvanicScene, Metal, potential
 from peri.engine.influence import diffusion_stencil
 from peri.engine.lattice import Lattice
-from peri.transport.potential.conductivity import IonConductivity
+from peri.transport.potential.conductivity import IonConductivity, TabulatedConductivity
 from peri.transport.potential.electrostatics import Electrode, PotentialProblem
 from peri.transport.potential.polarization import LinearPolarization
 
@@ -85,3 +85,24 @@ def test_a_crevice_whose_end_is_full_of_ions():
     # measured -0.25067 and -0.25035 V; -0.2804 V where the ions do not count
     assert -np.nanmean(found.potential[-1]) == pytest.approx(tip, rel=3e-3)
     assert -np.nanmean(plain.potential[-1]) < 1.1 * tip
+
+
+def test_measured_points_are_joined_by_straight_lines():
+    """MgCl2 at 20 degC (CRC Handbook, Section 5), mass per cent as mol/m3 by its density."""
+    law = TabulatedConductivity((0.0, 213.0, 546.0, 1137.0), (1e-4, 3.12, 6.69, 10.8))
+    found = law.of(np.array([0.0, 106.5, 546.0, 1137.0]))
+    np.testing.assert_allclose(found, [1e-4, 0.5 * (1e-4 + 3.12), 6.69, 10.8], rtol=1e-12)
+    # independent ions conduct 74 % more than measured at 0.2 mol/L and three times at 1.1
+    dilute = IonConductivity(0.0, 2.0, 0.706e-9, temperature=293.15)
+    assert 1.3 < float(dilute.of(np.array(213.0))) / 3.12 < 2.0
+    for c, kappa, words in (
+        ((0.0,), (1.0,), "two points or more"),
+        ((0.0, 1.0), (1.0,), "as many of each"),
+        ((1.0, 2.0), (1.0, 1.0), "ascend from 0"),
+        ((0.0, 2.0, 1.0), (1.0,) * 3, "ascend from 0"),
+        ((0.0, 1.0), (1.0, 0.0), "finite and positive"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            TabulatedConductivity(c, kappa)
+    with pytest.raises(ValueError, match="the law's points end at 1137 mol/m"):
+        law.of(np.array([1200.0]))
