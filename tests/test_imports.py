@@ -115,7 +115,7 @@ BELOW = {
             "permittivity",
             "mixing",
         },
-        "stored": {"chemistry", "liquid", "mixing", "nernst_planck"},
+        "stored": {"chemistry", "fluxes", "liquid", "mixing", "nernst_planck"},
         "reservoirs": {"chemistry", "fluxes", "liquid", "nernst_planck", "options"},
     },
     "pipeline": {

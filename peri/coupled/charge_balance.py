@@ -23,9 +23,10 @@ from peri.corrosion.electrode_kinetics import ElectrodeKinetics
 from peri.corrosion.nodes.bimaterial import BiMaterial
 from peri.corrosion.scene import CorrosionScene
 from peri.coupled.feedback import Agreement
+from peri.coupled.ohmic import Ohmic
 from peri.coupled.surroundings import MAGNESIUM, Surroundings
 from peri.engine.constants import FARADAY
-from peri.transport.liquid import LiquidSpace
+from peri.transport.liquid import LiquidSpace, LiquidState
 
 ELECTRONS = MAGNESIUM["OH"]
 """Per metal atom."""
@@ -34,7 +35,7 @@ _REACH = 20.0
 """V about the laws' own potentials within which the metal's is looked for."""
 
 _RESISTS = 1e-3
-"""V of the liquid's potential along the metal below which the drop is left to the rounds."""
+"""V of the liquid's potential along the metal below which the drop is left to the rounds alone."""
 
 Seen = dict[str, np.ndarray]
 
@@ -152,12 +153,13 @@ class ChargeBalance:
         theta: np.ndarray | None,
         beside: Mapping[str, np.ndarray | float],
         read: Seen | None = None,
+        liquid: LiquidState | None = None,
     ) -> tuple[float, np.ndarray]:
         """E_m (V) and every node's potential, for what is beside the metal.
 
-        beside : as feedback.beside_metal gives it, found with the currents by `read`.  Another
-        current brings another phi: all of it is taken to grow as the current does, without which
-        the rounds of a liquid that resists (a drop well above the laws' RT/F) would not settle.
+        beside : as feedback.beside_metal gives it of `liquid`, found with the currents by `read`.
+        Other currents bring another phi (ohmic.py), without which the rounds of a liquid that
+        resists (a drop well above the laws' RT/F) would not settle.
         """
         discrete = around.discrete
         strengths = self.strengths(around, concentration, theta)
@@ -166,18 +168,18 @@ class ChargeBalance:
             return self.rest, np.full(of.shape, self.rest)
         phi = np.broadcast_to(beside["liquid_potential"], of.shape)
         surface = _Surface(self, strengths[of], discrete.box_phase[of], _on(of, beside), phi[of])
-        grown = 1.0
-        if read is not None and np.ptp(surface.phi) > _RESISTS:
-            before = surface.size(_on(of, read)["potential"])
-
-            def excess(grown: float) -> float:
-                return surface.size(surface.potential(grown)[1]) - grown * before
-
-            free = surface.size(surface.potential(0.0)[1])
-            if before > 0 and free > 0 and excess(free / before) < 0:
-                grown = brentq(excess, 0.0, free / before)
-        metal, _ = surface.potential(grown)
-        return metal, metal - grown * phi
+        if read is None or np.ptp(surface.phi) <= _RESISTS:
+            metal = surface.potential(surface.phi)
+            return metal, metal - phi
+        ohmic = Ohmic(around, liquid, of, ELECTRONS * surface.strengths)
+        held = self.potential is not None
+        metal, own = ohmic.answer(
+            surface.net, _on(of, read)["potential"], surface.phi, surface.potential,
+            None if held else ELECTRONS * self.wanted,
+        )  # fmt: skip
+        potential = metal - phi
+        potential[of] = own
+        return metal, potential
 
     def give(self, around: Surroundings, fields: Mapping[str, np.ndarray]) -> np.ndarray:
         """Give the liquid the charge of a state's fields; returns it as `charge` does."""
@@ -228,23 +230,18 @@ class _Surface:
         anodic, cathodic = self.of.rates(self.phase, {**self.seen, "potential": potential})
         return anodic - cathodic
 
-    def size(self, potential: np.ndarray) -> float:
-        """Sum of the sizes of the currents that go through the liquid."""
-        return float(self.strengths @ np.abs(self.net(potential)))
-
-    def potential(self, grown: float) -> tuple[float, np.ndarray]:
-        """E_m and every node's potential, phi `grown` times what it is."""
-        of, phi = self.of, grown * self.phi
+    def potential(self, phi: np.ndarray) -> float:
+        """E_m, V: held, or that which balances the currents where the liquid has phi (k,)."""
+        of = self.of
         if of.potential is not None:
-            return of.potential, of.potential - phi
+            return of.potential
 
         def excess(metal: float) -> float:
             return float(self.strengths @ self.net(metal - phi)) - of.wanted
 
         own = [v for law in of.laws for v in (law.potential, law.hydrogen_potential)]
         low, high = min(own) - _REACH, max(own) + _REACH
-        metal = float(brentq(excess, low, high, xtol=1e-15, rtol=1e-15))
-        return metal, metal - phi
+        return float(brentq(excess, low, high, xtol=1e-15, rtol=1e-15))
 
 
 _READ = ("potential", "ph", "magnesium")

@@ -369,7 +369,8 @@ class Degradation(CorrosionProblem):
             found = beside_metal(around, liquid, amounts, self._components)
             if balance is not None:
                 new, theta = stage.fields["concentration"], stage.fields.get("theta")
-                metal, found["potential"] = balance.find(around, new, theta, found, agreement.seen)
+                read = agreement.seen
+                metal, found["potential"] = balance.find(around, new, theta, found, read, liquid)
                 stage.numbers["metal_potential"] = metal
             if agreement.with_(found, stage.numbers["volume_loss"]):
                 stage.iterations = iterations

@@ -75,6 +75,7 @@ class LiquidSpace:
     n : number of unknown nodes
     volume : (n,) their relative volumes c_i
     cell_volume : m3 (m2, m in two and one dimensions)
+    extent : m, the diagonal of the lattice
     bonds : (n,) sum_j w_ij c_j over all liquid nodes, 1/m2
     degree : (n,) the operator's diagonal: `bonds`, and what a copy of the space adds
     exit : (n,) the same over refreshed nodes only
@@ -99,6 +100,7 @@ class LiquidSpace:
             )
         self.sum = NonlocalSum(stencil, liquid.shape, liquid)
         self.cell_volume = float(np.prod(stencil.spacing))
+        self.extent = float(np.linalg.norm(np.multiply(liquid.shape, stencil.spacing)))
         cells = np.ones(liquid.shape) if capacity is None else capacity
         self.all_volume = self.sum.pad(np.where(liquid, cells, 0.0))
         self._held = self.sum.pad(liquid & refreshed) > 0

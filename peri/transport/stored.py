@@ -25,10 +25,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from peri.engine.solvers import ConvergenceError
+from peri.engine.operators import Convolution, ConvolutionSum
+from peri.engine.solvers import ConvergenceError, LinearSystem
 from peri.transport.chemistry.composition import CompositionError
 from peri.transport.chemistry.minerals import settle
 from peri.transport.chemistry.speciation import Solution
+from peri.transport.fluxes import largest_bond_step
 from peri.transport.liquid import LiquidSpace, LiquidState
 from peri.transport.mixing import Mixing
 from peri.transport.nernst_planck import QuasiSteadyLiquid, TransportOptions
@@ -38,7 +40,15 @@ _ROUND_OFF = 5e-14
 """Of the largest content per step: a residual below this is round-off (measured 2e-14 in sbf)."""
 
 _LOOSE = 1e-3
-"""Of the shift, left in the operator for psi: without any it is singular in closed vessels."""
+"""Of the shift, left in the operator for psi, or 1 / L^2 (L the lattice's diagonal) if that is
+less: without any it is singular in closed vessels, and with _LOOSE sigma alone the longest wave of
+psi, that of a current between electrodes, takes rounds as _LOOSE sigma L^2 (in steps of 1 ms,
+plates 1 mm apart, 1e3)."""
+
+_STRONG = 1.0
+"""RT/F along a bond above which the bonds conduct by cosh(u/2) more in the equation for psi."""
+_HELD = 1e-6
+"""Of a node's bonds, what holds the level of psi then."""
 
 _BOND_ROUND_OFF = 1e-15
 _SATURATION = 2e-12
@@ -114,7 +124,8 @@ class StoredLiquid(QuasiSteadyLiquid):
             for shift in set(self._shift_of)
         }
         self._plain_of = [systems[shift] for shift in self._shift_of]
-        unshifted = np.full(space.n, _LOOSE * sigma)
+        unshifted = np.full(space.n, min(_LOOSE * sigma, 1.0 / self._open_space.extent**2))
+        self._step = step
         self._loose = self._open_space.system(sink=unshifted)
 
     def advance(
@@ -269,9 +280,38 @@ class StoredLiquid(QuasiSteadyLiquid):
         """
         right = self.space.outflow(excess)
         size = float(np.linalg.norm(right))
-        found, used = self._open_space.solve(self._loose, right, excess, 1e-3 * size)
-        state.iterations += used
-        return found
+        space, system = self._open_space, self._loose
+        field = space.spread(state.psi)
+        if largest_bond_step(field, space.all_volume, space.sum.reach) <= _STRONG:
+            found, used = space.solve(system, right, excess, 1e-3 * size)
+            state.iterations += used
+            return found
+        return excess + self._driven_apart(state, field)
+
+    def _driven_apart(self, state: LiquidState, field: np.ndarray) -> np.ndarray:
+        """What takes the net charge away in a step if the ions only conduct, in a strong field.
+
+        A bond conducts sqrt(kappa_i kappa_j) cosh(u/2), as `sqra` does: two convolutions.
+        """
+        space, chemistry = self._open_space, self.chemistry
+        mobile = chemistry.charge**2 * chemistry.diffusivity
+        root = np.sqrt(mobile @ state.concentration), float(np.sqrt(mobile @ self.edge))
+        right = space.all_volume * space.spread(*root)
+        unknown, grown = space.spread(np.ones(space.n)), np.exp(0.5 * field)
+        operator = ConvolutionSum(
+            [
+                Convolution(space.sum, unknown * right * a, right / a, coefficient=0.5)
+                for a in (grown, 1.0 / grown)
+            ],
+            symmetric=True,
+        )
+        held = _HELD * unknown * operator.diagonal()
+        system = LinearSystem(operator, shift=held)
+        charge = space.spread(space.volume * state.net_charge / self._step)
+        found = np.zeros_like(charge)
+        size = float(np.linalg.norm(charge))
+        state.iterations += system.solve(found, charge, 1e-3 * size)
+        return space.gather(found)
 
     def _neutralise(self, state: LiquidState) -> None:
         """Let the inert ion take up what charge is left: less than its balance is good for."""
