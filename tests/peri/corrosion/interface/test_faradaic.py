@@ -173,6 +173,62 @@ def test_stefan_limit():
     assert 0.072 < errors[0] < errors[1] < 0.08
 
 
+@pytest.mark.parametrize(
+    ("diffusivity", "saturated", "solid", "stefan"),
+    [
+        (8.6e-10, 4600.0, 142_900.0, 0.128253),  # 304 steel of PeriFast
+        (8.5e-10, 5100.0, 143_000.0, 0.135158),
+        (7.2e-10, 5600.0, 140_000.0, 0.143351),  # alloy 625
+    ],
+)
+def test_a_pencil_under_its_salt_layer(diffusivity, saturated, solid, stefan):
+    """2 lambda sqrt(D t) after 100 s, sqrt(pi) l exp(l^2) erf(l) = C_sat / (C_solid - C_sat)."""
+    exact, errors = 2 * stefan * np.sqrt(diffusivity * 100.0), []
+    for spacing in (1e-5, 5e-6):
+        lattice = Lattice((-1.5 * spacing,), (spacing,), (round(130e-6 / spacing),))
+        scene = CorrosionScene(
+            lattice, 2 * spacing, lattice.axis(0) > 0, dissolution_flux=10.0,
+            dissolution="faradaic", solid_concentration=solid, liquid_diffusivity=diffusivity,
+            saturation_concentration=saturated,
+        )  # fmt: skip
+        result = corrode(scene, [100.0], TimeStepping("backward_euler", step=1.0))
+        amount = result.history["metal_amount"]
+        errors.append((amount[0] - amount[-1]) / solid / exact - 1)
+    # measured 0.165, 0.160, 0.162 and 0.081, 0.077, 0.079; their limits -0.002, -0.007, -0.004
+    assert 1.9 < errors[0] / errors[1] < 2.2
+    assert abs(2 * errors[1] - errors[0]) < 0.01
+
+
+def test_sand_time_of_a_wall_that_stands():
+    """pi D (zF C_sat / i)^2 / 4 = 24.534 s at 5,100 A/m2; from then on salt holds current back."""
+    diffusivity, saturated = 8.6e-10, 4600.0
+    flux = 5100.0 / (2.19 * 96485.33212)
+    exact = np.pi * diffusivity * (saturated / flux) ** 2 / 4
+    assert exact == pytest.approx(24.534, abs=1e-3)
+    errors = []
+    for spacing in (10e-6, 5e-6):
+        nodes = round(600e-6 / spacing)  # four times what diffusion reaches
+        lattice = Lattice(((0.5 - nodes) * spacing,), (spacing,), (nodes + 4,))
+        scene = CorrosionScene(
+            lattice, 2 * spacing, lattice.axis(0) > 0, boundary="no_flux", dissolution_flux=flux,
+            flux_calibration="axis", dissolution="faradaic", solid_concentration=1e9,
+            saturation_concentration=saturated, liquid_diffusivity=diffusivity,
+        )  # fmt: skip
+        result = corrode(scene, [30.0], TimeStepping(step=0.1))
+        history = result.history
+        salt = history["saturated_nodes"] > 0
+        onset = int(salt.argmax())
+        lost = history["metal_amount"][0] - history["metal_amount"]
+        assert salt[onset:].all()
+        before = slice(1, onset)
+        np.testing.assert_allclose(lost[before], flux * history["time"][before], rtol=1e-8)
+        assert lost[-1] < 0.99 * flux * 30.0
+        errors.append(history["time"][onset] / exact - 1)
+    # measured 0.052 and 0.027: the node beside the wall is half a spacing away from it
+    assert 0 < errors[1] < 0.7 * errors[0] < 0.05
+    assert abs(2 * errors[1] - errors[0]) < 0.01
+
+
 def test_an_emptied_node_passes_on_what_it_cannot_hold():
     """Steps that fill an emptied node four times withhold no current until salt does; order."""
     spacing, flux, current_ends, end = 10e-6, 0.024137, 600.0, 1200.0
