@@ -28,7 +28,7 @@ from scipy.linalg import solve_banded
 
 from peri.engine.constants import FARADAY
 from peri.engine.march.checkpoints import fingerprint
-from peri.engine.march.problem import Attempt, Fields, FirstOrder, Stage, State
+from peri.engine.march.problem import Attempt, Fields, FirstOrder, Stage, State, moment
 from peri.engine.solvers import ConvergenceError
 
 _ITERATIONS = 60
@@ -297,6 +297,11 @@ class ThinGapProblem(FirstOrder):
             off += weight * float(np.abs(change - attempt.expected[name]).sum())
             moved += weight * float(np.abs(change).sum())
         return attempt.share * off / moved if moved > 0 else 0.0
+
+    def describe(self, state: State) -> str:
+        """Time and depth."""
+        deepest = 1e6 * float((state.fields["gap"] - self.scene.gap).max())
+        return f"{moment(state.time)}, {deepest:.3g} um deep"
 
     def row(self, state: State) -> tuple[float, ...]:
         """See COLUMNS."""

@@ -212,7 +212,7 @@ def in_words(value: float, unit: str) -> str:
     if unit == "m":
         return format_length(value)
     if unit == "m2":
-        return f"{1e12 * value:.4g} um2" if abs(value) < 1e-7 else f"{1e6 * value:.4g} mm2"
+        return f"{1e12 * value:.4g} um2" if abs(value) < 1e-9 else f"{1e6 * value:.4g} mm2"
     return f"{value:.6g} {unit if unit != '1' else ''}".rstrip()
 
 

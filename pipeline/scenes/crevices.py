@@ -22,6 +22,8 @@ from pipeline.scenes.outcome import Curve, Outcome, Panel, Prepared
 
 LENGTH, MOST = 12.7e-3, 5600.0
 LAWS = ("acidity-625", "constant")
+MOST_UNEVEN = 0.1
+"""Relative unevenness of the concentration across a gap beyond which it is no film."""
 PUBLISHED_DIFFUSIVITY_FACTOR, PUBLISHED_CURRENT_FACTOR = 0.2176, 7.57
 """What the printed lattice (25:1, m = 4) makes of the diffusivity along the crevice and of the
 interface's flux."""
@@ -119,6 +121,11 @@ def prepare(given: Given) -> Prepared:
     place = (np.arange(nodes) + 0.5) / nodes
     mouth, end = given.number("geometry.gap_at_mouth"), given.number("geometry.gap_at_end")
     seed, most = given.number("geometry.seed"), given.number("liquid.saturation_concentration")
+    if seed > length:
+        raise ValueError(
+            f"{given.file}: geometry.seed is {format_length(seed)}; it must be at most the length "
+            f"of {format_length(length)}"
+        )
     share = given.otherwise("geometry.seed_concentration", 0.99, "1", "0.99 of saturation")
     scene = ThinGap(
         length,
@@ -130,6 +137,14 @@ def prepare(given: Given) -> Prepared:
         solid_concentration=given.number("metal.solid_concentration"),
         saturation_concentration=most,
     )
+    uneven = scene.bound(length**2 / scene.diffusivity)
+    if uneven > MOST_UNEVEN:
+        raise ValueError(
+            f"{given.file}: geometry.gap_at_mouth is {format_length(mouth)}, geometry.gap_at_end "
+            f"{format_length(end)}: the concentration differs across the gap by up to "
+            f"{100 * uneven:.2g} %, which a film leaves out; it must be {100 * MOST_UNEVEN:g} % at "
+            "most (narrower, longer, or less current)"
+        )
     conducts = None
     if "liquid.conductivity" in given:
         medium = given.number("liquid.conductivity")
@@ -175,7 +190,9 @@ def _march(
     }
     history, hour, x = done.history, 3600.0, 1e3 * scene.places
     labels = [f"{t / hour:.3g} h" for t in done.times]
-    site = Curve("active site", history["time"] / hour, 1e3 * history["active_site"])
+    # At first the whole seed dissolves alike, at no site.
+    later = history["time"] >= 0.005 * done.times[-1]
+    site = Curve("active site", history["time"][later] / hour, 1e3 * history["active_site"][later])
     panels = [
         Panel(
             "Depth", "from the mouth / mm", "depth / um",

@@ -47,15 +47,18 @@ def _table(outcome: Outcome) -> str:
 
 
 def draw(panels: list[Panel] | tuple[Panel, ...], path: Path) -> None:
-    """The panels side by side, two in a row."""
+    """The panels side by side, two in a row; one that is left over has a row of its own."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     rows = (len(panels) + 1) // 2
     figure = Figure(figsize=(11.0, 3.8 * rows), layout="constrained")
     FigureCanvasAgg(figure)
-    places = figure.subplots(rows, 2, squeeze=False).ravel()
-    for axes, panel in zip(places, panels, strict=False):
+    grid = figure.add_gridspec(rows, 2)
+    for place, panel in enumerate(panels):
+        row, column = divmod(place, 2)
+        alone = place == len(panels) - 1 and column == 0
+        axes = figure.add_subplot(grid[row, :] if alone else grid[row, column])
         for n, curve in enumerate(panel.curves):
             style = "" if curve.dots else "--" if n >= 8 else "-"
             mark = "o" if curve.dots or len(curve.x) < 12 else ""
@@ -66,9 +69,8 @@ def draw(panels: list[Panel] | tuple[Panel, ...], path: Path) -> None:
         axes.set_xlabel(panel.x)
         axes.set_ylabel(panel.y)
         axes.grid(True, linewidth=0.3)
-        axes.legend(fontsize=8)
-    for axes in places[len(panels) :]:
-        axes.set_axis_off()
+        if len(panel.curves) > 1:
+            axes.legend(fontsize=8)
     temporary = path.with_name(f".{path.name}.tmp")
     try:
         figure.savefig(temporary, dpi=120, format="png")

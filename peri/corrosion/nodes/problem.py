@@ -12,7 +12,7 @@ from peri.corrosion.nodes import stage as bimaterial_stage
 from peri.corrosion.nodes.bimaterial import BiMaterial
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.march.checkpoints import fingerprint
-from peri.engine.march.problem import Attempt, Fields, FirstOrder, Stage, State
+from peri.engine.march.problem import Attempt, Fields, FirstOrder, Stage, State, moment
 from peri.engine.processes import ONE_PROCESS, OneProcess
 
 COLUMNS = {
@@ -206,9 +206,9 @@ class CorrosionProblem(FirstOrder):
         }
 
     def describe(self, state: State) -> str:
-        """Day and volume loss."""
+        """Time and volume loss."""
         lost = 100 * state.numbers["volume_loss"]
-        return f"day {state.time / 86400:.1f}, volume loss {lost:.2f} %"
+        return f"{moment(state.time)}, volume loss {lost:.2f} %"
 
     # --- stages ---------------------------------------------------------------------------
 

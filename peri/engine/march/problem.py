@@ -91,6 +91,13 @@ class Course:
         self.state, self.iterations = state, iterations
 
 
+def moment(time: float) -> str:
+    """A time (s) for the progress bar: seconds, hours or days."""
+    if time < 3600.0:
+        return f"{time:.3g} s"
+    return f"hour {time / 3600:.1f}" if time < 2 * 86400.0 else f"day {time / 86400:.1f}"
+
+
 class Problem(ABC):
     """A physics to be marched; see `march`.
 
@@ -145,7 +152,7 @@ class Problem(ABC):
 
     def describe(self, state: State) -> str:
         """A few words for the progress bar."""
-        return f"{state.time:.4g} s"
+        return moment(state.time)
 
 
 class FirstOrder(Problem):
