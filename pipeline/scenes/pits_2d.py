@@ -181,30 +181,33 @@ def march_section(
     lost = (amount[0] - amount) / scene.solid_concentration
     x = 1e6 * lattice.axis(0)
     surface = 1e6 * lattice.axis(1)
+    unit, second = ("h", 3600.0) if result.times[-1] > 7200.0 else ("s", 1.0)
     bottoms = []
     for time, metal in zip(result.times, result.metal, strict=True):
         gone = scene.metal & ~metal
         there = gone.any(axis=1)
         lowest = np.where(there, surface[np.argmax(gone, axis=1)], 0.0)
-        bottoms.append(Curve(f"{time:.4g} s", x, lowest))
-    moments = np.asarray(result.times)
+        bottoms.append(Curve(f"{time / second:.4g} {unit}", x, lowest))
+    moments, passed = np.asarray(result.times) / second, history["time"] / second
     sizes = [
         Curve(name, moments, 1e6 * np.array([s[n] for s in shapes]))
         for n, name in enumerate(("depth", "width", "width at the surface"))
     ]
-    held = Curve("held at saturation", history["time"], history["saturated_nodes"])
+    axis = f"time / {unit}"
     panels = [
-        Panel("Bottom of the pit", "along the sheet / um", "depth / um", bottoms),
-        Panel("Size of the pit", "time / s", "um", sizes),
-        Panel("Metal lost", "time / s", "mm²", [Curve("pit", history["time"], 1e6 * lost)]),
-        Panel("Liquid nodes under a salt layer", "time / s", "nodes", [held]),
+        Panel("Bottom of the attack", "along the sheet / um", "depth / um", bottoms),
+        Panel("Size of the attack", axis, "um", sizes),
+        Panel("Metal lost", axis, "mm²", [Curve("metal", passed, 1e6 * lost)]),
     ]
+    if history["saturated_nodes"].any():
+        held = Curve("held at saturation", passed, history["saturated_nodes"])
+        panels.append(Panel("Liquid nodes under a salt layer", axis, "nodes", [held]))
     over = ("time", *axes_of(lattice))
     fields = {"damage_index": Field(np.array(index), "1", over)}
     if salt is not None:
         fields |= film_fields(result, salt)
         summary |= film_summary(result, salt)
         thick = 1e6 * fields["salt_film"].values.max(axis=2)
-        curves = [Curve(f"{t:.4g} s", x, s) for t, s in zip(result.times, thick, strict=True)]
+        curves = [Curve(f"{t:.4g} {unit}", x, s) for t, s in zip(moments, thick, strict=True)]
         panels.append(Panel("Salt film", "along the sheet / um", "thickness / um", curves))
     return outcome_of(result, summary, panels, fields)
