@@ -32,7 +32,7 @@ from peri.coupled.galvanic_scene import GalvanicScene
 from peri.coupled.patch_queues import drain, spill
 from peri.engine.constants import FARADAY
 from peri.engine.march.checkpoints import fingerprint
-from peri.engine.march.problem import Course, Fields, Problem, State
+from peri.engine.march.problem import Course, Fields, Problem, State, moment
 from peri.transport.potential.electrostatics import (
     Electrode,
     NoSinkError,
@@ -472,4 +472,4 @@ class GalvanicProblem(Problem):
     def describe(self, state: State) -> str:
         """Time, and the largest current."""
         largest = max(abs(state.numbers[f"current{n}"]) for n in range(len(self.scene.metals)))
-        return f"{state.time:.4g} s, {largest:.4g} A"
+        return f"{moment(state.time)}, {largest:.4g} A"

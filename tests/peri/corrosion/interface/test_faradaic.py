@@ -5,6 +5,7 @@ import pytest
 from scipy.integrate import trapezoid
 
 from peri.corrosion.kinetics import ConstantRate, VolumeLossLaw
+from peri.corrosion.metal.solids import Solid
 from peri.corrosion.run import corrode
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.lattice import Lattice, box_lattice
@@ -67,6 +68,22 @@ def test_travelling_front_with_controlled_steps(ratio, scheme):
     # measured 2.6e-3, 1e-15, 1.2e-2 in 24 to 33 steps for 20 layers
     assert abs(speed(result, scene) * SOLID / FLUX - 1) < 1.5e-2
     assert result.history["time"].size < 60
+
+
+@pytest.mark.parametrize("ratio", [1, 2])
+def test_layers_of_two_phases_dissolve_in_the_sum_of_their_times(ratio):
+    """n C_solid h / (rate flux) each: ten layers of one, then eight of the other."""
+    fast = Solid(0.6 * SOLID, rate=2.5)
+    phase = np.zeros(24 + ratio, np.uint8)
+    phase[ratio : ratio + 10], phase[ratio + 10 :] = 1, 2
+    scene = flat_front(ratio, solids=(Solid(SOLID), fast), phase=phase, liquid_diffusivity=1e-3)
+    time = 10 * LAYER + 8 * LAYER * 0.6 / 2.5
+    # Steps by a layer of the slow phase; one of the fast phase takes 0.24.  Measured 1e-10, and
+    # 1.1 % with bonds over two layers where a step empties nodes of both.
+    for share, within in ((0.05, 1e-8), (0.1, 1e-8), (0.2, 0.02)):
+        result = corrode(scene, [time], TimeStepping(step=share * LAYER))
+        left = (result.concentration[0] * result.metal[0]).sum()
+        assert left == pytest.approx(6 * 0.6 * SOLID, rel=within)
 
 
 def test_the_proportional_law_is_slower_by_the_logarithm():
