@@ -35,6 +35,7 @@ MORE_ALLOWED = {
     "peri/parallel/ranks.py": PARALLEL,
     "peri/parallel/multigrid.py": PARALLEL,
     "peri/corrosion/ranks.py": PARALLEL,
+    "peri/coupled/galvanic_ranks.py": PARALLEL,
     "peri/corrosion/results.py": {"pyvista"},
     "fem/results.py": {"pyvista"},
 }
@@ -50,7 +51,7 @@ BELOW = {
         "schemes": {"engine"},
         "transport": {"engine"},
         "corrosion": {"engine", "parallel"},
-        "coupled": {"engine", "transport", "corrosion"},
+        "coupled": {"engine", "parallel", "transport", "corrosion"},
         "omissions": {"engine", "corrosion", "coupled"},
     },
     "peri.engine": {

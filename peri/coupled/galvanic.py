@@ -12,7 +12,7 @@ from peri.coupled.galvanic_march import GalvanicProblem
 from peri.coupled.galvanic_renewal import Renewal
 from peri.coupled.galvanic_scene import ROBIN, GalvanicScene, Metal
 from peri.engine.march.marching import march
-from peri.transport.potential.electrostatics import PotentialField
+from peri.transport.potential.electrostatics import PotentialField, PotentialProblem
 
 __all__ = ["ROBIN", "GalvanicResult", "GalvanicScene", "Metal", "Renewal", "corrode", "potential"]
 
@@ -59,12 +59,16 @@ def corrode(
     resume: bool = False,
     checkpoint_every: float = 30.0,
     one_level: bool = False,
+    solver_tolerance: float = 1e-9,
+    between: Callable[..., PotentialProblem] = PotentialProblem,
 ) -> GalvanicResult:
     """March a couple to the times asked for (engine.march.marching.march).
 
     Conserved: what the currents of the dissolving metals carry is what these lose, z F mole by
     mole (history["faraday_error"], round-off; tests/peri/coupled/test_galvanic.py).
 
+    solver_tolerance : residual of the nodes' charge balances relative to the patches' currents.
+    between : what solves for the potential between the metals (galvanic_ranks has another).
     one_level : take one potential in each pool of liquid and compute no field (coupled.wagner says
     what that changes).
 
@@ -73,7 +77,7 @@ def corrode(
     ValueError
         For bad times; as PotentialProblem does (no sink for a current, a law that falls).
     """
-    problem = GalvanicProblem(scene, one_level=one_level)
+    problem = GalvanicProblem(scene, solver_tolerance, one_level, between)
     done = march(
         problem,
         times,

@@ -21,6 +21,7 @@ bonds that carry the current, and the conductivity is renewed with the potential
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -66,9 +67,14 @@ class GalvanicProblem(Problem):
     """
 
     def __init__(
-        self, scene: GalvanicScene, tolerance: float = 1e-9, one_level: bool = False
+        self,
+        scene: GalvanicScene,
+        tolerance: float = 1e-9,
+        one_level: bool = False,
+        between: Callable[..., PotentialProblem] = PotentialProblem,
     ) -> None:
         self.scene, self.tolerance, self.one_level = scene, tolerance, one_level
+        self._solves = between
         self.solid = scene.solid_concentrations()
         self._label = scene.phases()
         self._grows = self.solid > 0
@@ -150,7 +156,7 @@ class GalvanicProblem(Problem):
             return MirrorProblem(
                 scene.lattice, scene.stencil, ~metal, electrodes, float(scene.conductivity)
             )
-        return PotentialProblem(
+        return self._solves(
             scene.lattice, scene.stencil, ~metal, electrodes, scene.conducts(ions), held=scene.held
         )
 
@@ -355,14 +361,15 @@ class GalvanicProblem(Problem):
     def first_conductivity_change(self, state: State, step: float) -> float:
         """The same of a step to come, with all that patches give left where it enters."""
         ions, problem = self.scene.ions, self.potential_problem(state.fields)
-        if ions is None or problem is None:
+        if ions is None or self.transport is None or problem is None:
             return 0.0
         coupled, alone, _ = self.rates(state)
         given = (
             problem.patches.shares.T @ (step * (coupled + alone)) / self.scene.lattice.cell_volume
         )
         content = state.fields["ions"]
-        there = problem.sum.crop(given.reshape(problem.sum.padded_shape)) + content
+        bonds = self.transport.sum
+        there = bonds.crop(given.reshape(bonds.padded_shape)) + content
         wet = ~self.metal(state.fields["concentration"])
         # Without a limit of what dissolves, a law's points may end before all that is given.
         most = float(getattr(ions.conductivity, "concentrations", (np.inf,))[-1])

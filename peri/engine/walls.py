@@ -25,7 +25,7 @@ class Walls:
     Parameters
     ----------
     bond_sum : NonlocalSum
-        Of unit diffusivity, in one process.
+        Of unit diffusivity.
 
     diagonal : padded array, what the links add to a node's sum of conductances.
     """
@@ -46,7 +46,7 @@ class Walls:
         def moment(weights: np.ndarray, odd: int | None) -> NonlocalSum:
             parity = tuple(-1 if a == odd else 1 for a in range(d))
             part = Stencil(weights, stencil.spacing, parity)
-            return NonlocalSum(part, bond_sum.lattice_shape)
+            return NonlocalSum(part, bond_sum.lattice_shape, processes=bond_sum.processes)
 
         self._first = [moment(stencil.octant * x, a) for a, x in enumerate(gradient)]
         self._second = [moment(stencil.octant * x**2, None) for x in position]
@@ -89,31 +89,45 @@ class Walls:
 
         behind : its volume behind each liquid node, relative to a cell's; of the lattice's shape.
         """
-        base, kappa = self.sum, self._conducts
+        base, kappa = self.sum, self._around(self._conducts)
+        self.links, diagonal = [], np.zeros(base.padded_shape)
         lead = 3 - len(base.lattice_shape)
-        self.links, self.diagonal = [], np.zeros(base.padded_shape)
-        for a, (lacking, along) in enumerate(self._lacking):
-            missing = lacking + along * behind
-            low, high = (_side(base.lattice_shape, a, s) for s in (0, 1))
+        for axis, (lacking, along) in enumerate(self._lacking, lead):
+            missing = self._around(lacking + along * behind)
+            low, high = (_padded_side(base, axis, side) for side in (0, 1))
             total = kappa[low] + kappa[high]
             mean = 2.0 * kappa[low] * kappa[high] / np.where(total > 0, total, 1.0)
             face = (mean * 0.5 * (missing[low] + missing[high])).ravel()
-            face = face / base.stencil.spacing[a] ** 2
+            face = face / base.spacing[axis] ** 2
             # Most faces are far from walls.
             some = np.flatnonzero(face)
-            near, far = (self._index[_padded_side(base, a + lead, s)].ravel()[some] for s in (0, 1))
+            near, far = (self._index[side].ravel()[some] for side in (low, high))
             face = face[some]
             # Along one axis every node is at most once the near and once the far one.
-            self.diagonal.ravel()[near] += face
-            self.diagonal.ravel()[far] += face
-            self.links.append((near, far, face, a + lead))
+            diagonal.ravel()[near] += face
+            diagonal.ravel()[far] += face
+            self.links.append((near, far, face, axis))
+        self.diagonal = self._own(diagonal)
+
+    def _around(self, values: np.ndarray) -> np.ndarray:
+        """A padded copy of a lattice array, with what other processes hold beside it."""
+        return self.sum.processes.with_ghosts(self.sum.pad(values), self.sum.window).copy()
+
+    def _own(self, padded: np.ndarray) -> np.ndarray:
+        """Nothing but this process's nodes, in place."""
+        if self.sum.processes.whole:
+            return padded
+        return self.sum.pad(self.sum.crop(padded))
 
     def gain(self, u: np.ndarray, out: np.ndarray) -> np.ndarray:
         """Add sum over a node's links of conductance times u beyond, in place."""
-        values, target = u.ravel(), out.ravel()
+        values = self.sum.processes.with_ghosts(u, self.sum.window).ravel()
+        target = out.ravel()
         for near, far, face, _ in self.links:
             target[near] += face * values[far]
             target[far] += face * values[near]
+        if not self.sum.processes.whole:
+            out[:] = self._own(out)
         return out
 
     def flow(self, u: np.ndarray) -> np.ndarray:
@@ -127,7 +141,7 @@ class WithWalls(Operator):
     Parameters
     ----------
     operator : Operator
-        Its nodes and bonds; in one process.
+        Its nodes and bonds.
     walls : Walls
         Of the same lattice.
     """
@@ -144,28 +158,22 @@ class WithWalls(Operator):
 
     def faces(self) -> list[np.ndarray]:
         out = self._base.faces()
-        on = self.unknown.ravel()
+        on = self.sum.processes.with_ghosts(self.unknown, self.sum.window).ravel().copy()
         for near, far, face, axis in self._walls.links:
+            if not near.size:
+                continue
             # A face's place is that of the node behind it, one further along its axis.
             padded = np.zeros(self.sum.padded_shape)
             padded.ravel()[near] = face * on[near] * on[far]
-            whole = out[axis].copy()
-            inner = [slice(None)] * 3
-            inner[axis] = slice(1, None)
-            whole[tuple(inner)] += padded[self.sum.interior]
-            out[axis] = whole
+            before = list(self.sum.interior)
+            before[axis] = slice(before[axis].start - 1, before[axis].stop)
+            out[axis] = out[axis] + padded[tuple(before)]
         return out
 
 
-def _side(shape: tuple[int, ...], axis: int, side: int) -> tuple[slice, ...]:
-    """All nodes but the last (side 0) or the first (side 1) along an axis."""
-    cut = slice(0, -1) if side == 0 else slice(1, None)
-    return tuple(cut if a == axis else slice(None) for a in range(len(shape)))
-
-
 def _padded_side(bond_sum: NonlocalSum, axis: int, side: int) -> tuple[slice, ...]:
-    """The interior of a padded array but its last or first nodes along an axis (of three)."""
+    """The nodes below (side 0) or above the faces across an axis (of three), one more around."""
     out = list(bond_sum.interior)
-    inner = out[axis]
-    out[axis] = slice(inner.start + side, inner.stop - 1 + side)
+    inner, width = out[axis], min(bond_sum.reach[axis], 1)
+    out[axis] = slice(inner.start - width + side, inner.stop + width - 1 + side)
     return tuple(out)

@@ -110,6 +110,13 @@ class Ranks(OneProcess):
         """Sum over the ranks."""
         return self.comm.allreduce(value, MPI.SUM)
 
+    def added(self, values: np.ndarray) -> np.ndarray:
+        """Sums over the ranks of each entry; the same on all of them to the last bit."""
+        out = np.empty_like(values)
+        self.comm.Reduce(np.ascontiguousarray(values), out, MPI.SUM, root=0)
+        self.comm.Bcast(out, root=0)
+        return out
+
     def largest(self, value: float) -> float:
         """Maximum over the ranks."""
         return self.comm.allreduce(value, MPI.MAX)

@@ -32,11 +32,14 @@ from scipy.optimize import brentq
 from peri.engine.influence import Stencil
 from peri.engine.lattice import Lattice
 from peri.engine.operators import Convolution, NonlocalSum, Operator
+from peri.engine.processes import ONE_PROCESS, OneProcess
 from peri.engine.solvers import ConvergenceError, Extra, LinearSystem
 from peri.engine.walls import Walls, WithWalls
-from peri.transport.potential.patches import Patches, surface_patches
-from peri.transport.potential.polarization import Polarization, surface_potential
-from peri.transport.potential.pools import by_pool, label_pools
+from peri.transport.potential.patches import Patches
+from peri.transport.potential.placement import WIDEST, Electrode, NoSinkError, place
+from peri.transport.potential.polarization import surface_potential
+
+__all__ = ["Electrode", "NoSinkError", "PotentialField", "PotentialProblem"]
 
 log = logging.getLogger(__name__)
 
@@ -49,21 +52,6 @@ _MANY_ITERATIONS = 12
 _HELD_LEVELS = (1e-12, 1e-9, 1e-6)
 """Of a node's bonds, what holds levels that electrodes without slope leave open; larger ones take
 more Newton steps."""
-_WIDEST = 100.0
-"""Potential, V, at which a set of electrodes without any zero of its total current is given up."""
-
-
-class NoSinkError(ValueError):
-    """The currents of all electrodes have one sign at every potential."""
-
-
-@dataclass(frozen=True)
-class Electrode:
-    """Metal nodes (bool, of the lattice's shape), their law, and the metal's potential V, V."""
-
-    metal: np.ndarray
-    law: Polarization
-    potential: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -114,6 +102,9 @@ class PotentialProblem:
     walls : bool
         Whether walls conduct along themselves as the rest does (engine.walls); for
         the default operator.
+    processes : OneProcess or its like
+        Who holds which block of the lattice; arrays of the whole lattice are given and found on
+        the root (elsewhere None and empty), currents of the patches everywhere.
 
     Raises
     ------
@@ -132,55 +123,61 @@ class PotentialProblem:
         operator: Operator | None = None,
         held: np.ndarray | None = None,
         walls: bool = True,
+        processes: OneProcess = ONE_PROCESS,
     ) -> None:
-        self.electrodes = list(electrodes)
-        kappa = np.broadcast_to(np.asarray(conductivity, float), lattice.shape)
-        if not (np.isfinite(kappa[liquid]).all() and (kappa[liquid] > 0).all()):
-            raise ValueError("conductivity: it must be positive in the whole liquid, S/m")
-        fixed = np.zeros(lattice.shape, bool) if held is None else np.isfinite(held) & liquid
-        self.sum = NonlocalSum(stencil, lattice.shape)
-        pad = self.sum.pad
-        self.patches = surface_patches(self.sum, liquid, [e.metal for e in self.electrodes])
-        pool = label_pools(self.sum, np.asarray(liquid, bool))
-        self.patches, of_patch = by_pool(self.patches, pad(pool))
-        alive, self._floating = self._working_pools(pool, of_patch, fixed)
-        kept = alive[of_patch]
-        self.patches, self._pool_of_patch = self.patches.only(kept), of_patch[kept]
-        self.liquid = np.asarray(liquid, bool) & alive[pool]
-        dropped = int((liquid & ~self.liquid).sum())
-        if dropped:
-            log.info("%d liquid nodes have no anode or no cathode: no potential", dropped)
-        self._pool = pad(np.where(self.liquid, pool, 0)).astype(int)
-        self.unknown = pad(self.liquid & ~fixed)
-        self.held = pad(np.where(fixed, -np.nan_to_num(held if held is not None else 0.0), 0.0))
-        self.volume = lattice.cell_volume
-        self._columns = np.flatnonzero(np.diff(self.patches.shares.tocsc().indptr))
-        self._shares = self.patches.shares[:, self._columns].tocsr()
-        self._free = self.unknown.ravel()[self._columns] > 0
-        self._voltage = np.array([e.potential for e in self.electrodes])[self.patches.electrode]
-        self._along = Walls(self.sum) if walls and operator is None else None
-        self.conduct(kappa, operator)
+        self.electrodes, self.processes = list(electrodes), processes
 
-    def conduct(self, conductivity: np.ndarray, operator: Operator | None = None) -> None:
+        def check() -> None:
+            kappa = np.broadcast_to(np.asarray(conductivity, float), lattice.shape)
+            if not (np.isfinite(kappa[liquid]).all() and (kappa[liquid] > 0).all()):
+                raise ValueError("conductivity: it must be positive in the whole liquid, S/m")
+
+        processes.on_root(check)
+        there = place(stencil, liquid, electrodes, held, processes)
+        self.patches, self._pool_of_patch = there.patches, there.pool_of_patch
+        self._floating, self._laws, self.liquid = there.floating, there.laws, there.liquid
+        self.sum = NonlocalSum(stencil, self.liquid.shape, processes=processes)
+        pad, fixed = self.sum.pad, np.isfinite(there.held)
+        self._pool = pad(there.pool).astype(int)
+        self.unknown = pad(self.liquid & ~fixed)
+        self.held = pad(-np.nan_to_num(there.held))
+        self.volume = float(np.prod(stencil.spacing))
+        self._columns = np.flatnonzero(np.diff(there.shares.tocsc().indptr))
+        self._shares = there.shares[:, self._columns].tocsr()
+        self._free = self.unknown.ravel()[self._columns] > 0
+        self._voltage = there.potentials[self.patches.electrode]
+        self._along = Walls(self.sum) if walls and operator is None else None
+        self.conduct(conductivity, operator)
+
+    def conduct(
+        self, conductivity: float | np.ndarray | None, operator: Operator | None = None
+    ) -> None:
         """Let the liquid conduct by kappa (of the lattice's shape, S/m) from now on.
 
         operator : its bonds, where they are not the default's; surfaces are where they were at the
         start until `recede` says where they are.
         """
+        kappa = self._dealt(conductivity)
         if operator is None:
-            root = self.sum.pad(np.sqrt(np.where(self.liquid, conductivity, 0.0)))
+            root = self.sum.pad(np.sqrt(np.where(self.liquid, kappa, 0.0)))
             operator = Convolution(self.sum, self.unknown * root, root, symmetric=True)
             if self._along is not None:
-                self._along.update(self.liquid, conductivity)
+                self._along.update(self.liquid, kappa)
                 operator = WithWalls(operator, self._along)
         self.operator = operator
-        there = np.isfinite(conductivity) & (conductivity > 0)
-        local = self.sum.pad(np.where(there, conductivity, 1.0))
-        self._at_patch = self._shares @ local.ravel()[self._columns]
+        local = self.sum.pad(np.where(np.isfinite(kappa) & (kappa > 0), kappa, 1.0))
+        self._at_patch = self._see(local)
         self.recede(np.zeros(len(self.patches.area)))
         self._system: LinearSystem | None = None
         self._row_sums = operator.row_sums()
         self._weight = self.volume * operator.diagonal()
+
+    def _dealt(self, values: float | np.ndarray | None) -> np.ndarray:
+        """This process's block of what the root has of the whole lattice, or for every node."""
+        one = self.processes.on_root(lambda: float(values) if np.ndim(values) == 0 else None)
+        if one is not None:
+            return np.broadcast_to(one, self.liquid.shape)
+        return self.processes.scatter(None if values is None else np.asarray(values, float))
 
     def recede(self, depth: np.ndarray) -> None:
         """Put the surface of each patch deeper, (n,) in m: what its metal has lost already."""
@@ -188,43 +185,24 @@ class PotentialProblem:
 
     def _see(self, u: np.ndarray) -> np.ndarray:
         """u_s = sum_j a_sj u_j of every patch."""
-        return self._shares @ u.ravel()[self._columns]
+        return self.processes.added(self._shares @ u.ravel()[self._columns])
+
+    def _norm(self, values: np.ndarray) -> float:
+        return float(np.sqrt(self._dot(values, values)))
+
+    def _dot(self, one: np.ndarray, other: np.ndarray) -> float:
+        """Of two padded fields, over all processes."""
+        return self.processes.total(float(np.dot(one.ravel(), other.ravel())))
+
+    def _phi(self, u: np.ndarray) -> np.ndarray:
+        """phi of the whole lattice on the root, NaN off the liquid."""
+        return self.processes.gather(np.where(self.liquid, -self.sum.crop(u), np.nan))
 
     def _spread(self, values: np.ndarray) -> np.ndarray:
         """sum_s a_si values_s on the unknown nodes, padded."""
         out = np.zeros(self.sum.padded_shape)
         out.ravel()[self._columns] = np.where(self._free, self._shares.T @ values, 0.0)
         return out
-
-    def _working_pools(
-        self, pool: np.ndarray, of_patch: np.ndarray, fixed: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Which pools (from 1) carry currents, and which of these are not held; bool.
-
-        A pool whose currents have one sign at every potential carries none, and one that nothing
-        touches has no potential.
-
-        Raises NoSinkError where no pool is left.
-        """
-        count = int(pool.max(initial=0)) + 1
-        held, touched = np.zeros(count, bool), np.zeros(count, bool)
-        held[np.unique(pool[fixed])] = True
-        touched[of_patch] = True
-        nets = []
-        for shift in (-_WIDEST, 0.0, _WIDEST):
-            density = np.array(
-                [float(e.law.current(np.array(e.potential + shift))) for e in self.electrodes]
-            )[self.patches.electrode]
-            nets.append(np.bincount(of_patch, self.patches.area * density, count))
-        balanced = (nets[0] < 0) & (nets[2] > 0) | (nets[1] == 0)
-        alive = held | (touched & balanced)
-        alive[0] = False
-        if not alive.any():
-            raise NoSinkError(
-                "electrodes: their currents have one sign at every potential; a current "
-                "needs a sink (a cathode, or a held potential)"
-            )
-        return alive, alive & ~held
 
     def _currents(
         self, seen: np.ndarray, part: np.ndarray | slice = slice(None)
@@ -233,11 +211,11 @@ class PotentialProblem:
         surface, density, slope = (np.zeros_like(seen) for _ in range(3))
         electrode_of, voltage = self.patches.electrode[part], self._voltage[part]
         resistance = self._resistance[part]
-        for number, electrode in enumerate(self.electrodes):
+        for number, law in enumerate(self._laws):
             of = electrode_of == number
             if of.any():
                 surface[of], density[of], slope[of] = surface_potential(
-                    electrode.law, (voltage + seen)[of], resistance[of]
+                    law, (voltage + seen)[of], resistance[of]
                 )
         return surface, density, slope
 
@@ -256,7 +234,7 @@ class PotentialProblem:
                 continue
             while not net(-reach) < 0.0 < net(reach):
                 reach *= 4.0
-                if reach > 16 * _WIDEST:
+                if reach > 16 * WIDEST:
                     raise ConvergenceError("potential: no level balances the currents of a pool")
             shifts[pool] = brentq(
                 net,
@@ -296,9 +274,10 @@ class PotentialProblem:
         ConvergenceError
             Where Newton's method does not reach the tolerance.
         """
-        if guess is not None:
+        if self.processes.on_root(lambda: guess is not None):
+            start = np.nan_to_num(self._dealt(guess))
             try:
-                return self._newton(self.unknown * self.sum.pad(-np.nan_to_num(guess)), tolerance)
+                return self._newton(self.unknown * self.sum.pad(-start), tolerance)
             except ConvergenceError as error:
                 # Where hardly any current is left, a guess has flows that nothing takes up.
                 log.info("potential: from the guess: %s", error)
@@ -309,14 +288,13 @@ class PotentialProblem:
 
         Raises ValueError where nodes are held.
         """
-        if not self._floating[1:].any() or (self.held != 0).any():
+        if not self._floating[1:].any() or self.processes.any((self.held != 0).any()):
             raise ValueError("held: a liquid with held nodes has no level of its own")
         shifts = self._balancing_shifts(np.zeros(len(self.patches.area)))
         surface, density, slope = self._currents(shifts[self._pool_of_patch])
         imbalance = self._imbalance(surface, density, slope)
         u = self.unknown * shifts[self._pool]
-        phi = np.where(self.liquid, -self.sum.crop(u), np.nan)
-        return PotentialField(phi, self.patches, density, surface, imbalance, 0, 0)
+        return PotentialField(self._phi(u), self.patches, density, surface, imbalance, 0, 0)
 
     def drop(self, density: np.ndarray) -> float:
         """The range of the potential that currents (n,) A/m^2 make, V: one linear solution.
@@ -329,14 +307,15 @@ class PotentialProblem:
             self.operator, shift=shift, sink=np.maximum(self._row_sums, 0.0) + shift
         )
         u = np.zeros(self.sum.padded_shape)
-        system.solve(u, right.copy(), 1e-6 * float(np.linalg.norm(right)))
-        pools = self._pool[self.unknown > 0]
-        high, low = (np.full(pools.max(initial=0) + 1, sign * np.inf) for sign in (-1, 1))
+        system.solve(u, right.copy(), 1e-6 * self._norm(right))
+        pools, largest = self._pool[self.unknown > 0], self.processes.largest
+        high, low = (np.full(len(self._floating), -np.inf) for _ in range(2))
         np.maximum.at(high, pools, u[self.unknown > 0])
-        np.minimum.at(low, pools, u[self.unknown > 0])
-        return float((high - low)[np.isfinite(high)].max(initial=0.0))
+        np.maximum.at(low, pools, -u[self.unknown > 0])
+        ranges = [largest(float(h)) + largest(float(v)) for h, v in zip(high, low, strict=True)]
+        return max([r for r in ranges if np.isfinite(r)], default=0.0)
 
-    def ohmic_shares(self, found: PotentialField) -> np.ndarray:
+    def ohmic_shares(self, found: PotentialField | None) -> np.ndarray:
         """By electrode: its current's largest relative change over a relative change of kappa.
 
         First order, wherever kappa changes: with A the bonds and v the change of u by a change of
@@ -344,21 +323,22 @@ class PotentialProblem:
         what lies between patch and surface is part of both.  Of one pair of electrodes it is the
         share of the voltage that the liquid takes.  infinite where no current flows.
         """
-        u = self.held - self.unknown * self.sum.pad(np.nan_to_num(found.potential))
+        phi = np.nan_to_num(self._dealt(None if found is None else found.potential))
+        u = self.held - self.unknown * self.sum.pad(phi)
         _, density, slope = self._currents(self._see(u))
         area, apart = self.patches.area, self._resistance
-        power = float((self._flux(u) * u).sum()) + float((area * apart * density**2).sum())
+        power = self._dot(self._flux(u), u) + float((area * apart * density**2).sum())
         shares = []
-        for number in range(len(self.electrodes)):
+        for number in range(len(self._laws)):
             own = (self.patches.electrode == number).astype(float)
             current = abs(float((own * area * density).sum()))
-            right = self._spread(area * slope * own)
-            if not current > 0 or not right.any():
-                shares.append(np.inf if right.any() else 0.0)
+            right, follows = self._spread(area * slope * own), (area * slope * own).any()
+            if not current > 0 or not follows:
+                shares.append(np.inf if follows else 0.0)
                 continue
             v = self._newton_direction(right, slope, 1e-6)[0]
             through = slope * (own - self._see(v))
-            other = float((self._flux(v) * v).sum()) + float((area * apart * through**2).sum())
+            other = self._dot(self._flux(v), v) + float((area * apart * through**2).sum())
             shares.append(np.sqrt(max(power, 0.0) * max(other, 0.0)) / current)
         return np.array(shares)
 
@@ -374,13 +354,10 @@ class PotentialProblem:
             flux = self._spread(self.patches.area * density)
             inside = self._flux(u)
             residual = -(inside + flux)
-            size = float(np.linalg.norm(flux))
-            norm = float(np.linalg.norm(residual))
+            size, norm = self._norm(flux), self._norm(residual)
             # Round-off of the sums over bonds, which a fine lattice makes large beside currents.
             rounding = self.patches.area * slope * np.maximum(np.abs(surface), np.abs(seen))
-            noise = 1e-15 * float(
-                np.linalg.norm(self._weight * u) + np.linalg.norm(self._spread(rounding))
-            )
+            noise = 1e-15 * (self._norm(self._weight * u) + self._norm(self._spread(rounding)))
             if norm <= max(tolerance * size, noise):
                 break
             if steps == _NEWTON_STEPS:
@@ -397,8 +374,7 @@ class PotentialProblem:
         u += self.unknown * shifts[self._pool]
         surface, density, slope = self._currents(seen + shifts[self._pool_of_patch])
         imbalance = self._imbalance(surface, density, slope)
-        phi = np.where(self.liquid, -self.sum.crop(u), np.nan)
-        return PotentialField(phi, self.patches, density, surface, imbalance, steps, total)
+        return PotentialField(self._phi(u), self.patches, density, surface, imbalance, steps, total)
 
     def _flux(self, u: np.ndarray) -> np.ndarray:
         """dV sum_j kappa w_ij (u_i - u_j) on the unknown nodes, held neighbours included."""
@@ -417,13 +393,13 @@ class PotentialProblem:
         def patches(v: np.ndarray, y: np.ndarray) -> float:
             seen = self._see(v)
             y += self._spread(conductance * seen)
-            return float((conductance * seen**2).sum())
+            return float((conductance * seen**2).sum()) if self.processes.is_root else 0.0
 
         sink = np.maximum(self._row_sums, 0.0) + self._spread(conductance)
         # Electrodes without slope leave a level open that the coarsest grid could not solve for.
         sink += 1e-14 * self.unknown * self._weight / self.volume
         right = residual / self.volume
-        wanted = reduction * float(np.linalg.norm(right))
+        wanted = reduction * self._norm(right)
         if self._system is None:
             self._system = LinearSystem(
                 self.operator, sink=sink, extra=patches, extra_diagonal=diagonal
@@ -474,8 +450,8 @@ class PotentialProblem:
         seen, change = self._see(u), self._see(step)
         area = self.patches.area
         start = float((area * self._currents(seen)[1] * change).sum())
-        bonds = -float((residual * step).sum()) - start
-        curvature = float((self._flux(step) * step).sum())
+        bonds = -self._dot(residual, step) - start
+        curvature = self._dot(self._flux(step), step)
 
         def slope(share: float) -> float:
             density = self._currents(seen + share * change)[1]

@@ -28,6 +28,7 @@ from peri.schemes.bonds import (
     square_root_fluxes,
 )
 from tests.peri.bodies import ball as balls
+from tests.peri.corrosion.nodes.test_pores import gap
 from tests.peri.corrosion.scenes import LAWS, WEEK, law_scene
 from tests.peri.corrosion.test_local_kinetics import Inhibited, Passivating
 from tests.peri.engine.surface.test_rate_classes import share_of_ball
@@ -67,6 +68,11 @@ def line_scene() -> CorrosionScene:
         lattice, 2e-6, metal, solid_concentration=1000.0, saturation_concentration=300.0,
         liquid_diffusivity=1e-12, interface_diffusivity=1e-13,
     )  # fmt: skip
+
+
+def gap_scene() -> CorrosionScene:
+    """2D, a gap on 10 : 1 whose liquid conducts along its walls, too."""
+    return gap(pores=False)
 
 
 @lru_cache
@@ -111,6 +117,7 @@ MARCHES = {
     "ball": (ball_scene, (0.5 * DAY, DAY), TimeStepping("sdirk2", step=0.5 * DAY)),
     "closed": (closed_scene, (2 * DAY,), TimeStepping("backward_euler", step=DAY)),
     "line": (line_scene, (0.0, 60.0), TimeStepping("sdirk2", step=10.0)),
+    "gap": (gap_scene, (400.0,), TimeStepping("backward_euler", step=100.0)),
 }
 # Every law of the rate with every law of the bonds.
 MARCHES |= {
@@ -237,6 +244,10 @@ def main(path: str) -> None:
         result = corrode(scene, times, stepping, resume=True, checkpoint_every=1e9, **options)
         if root:
             out[f"resumed/{name}"] = result.concentration
+    try:
+        corrode(gap() if root else None, (1.0,))
+    except ValueError as error:
+        out["pores"] = str(error)
     # Blocks narrower than the reach.
     lattice = box_lattice((0.0,), (3e-6,), 1e-6)
     small = replace(line_scene(), lattice=lattice, metal=np.zeros(3, bool), domain=None)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from peri.corrosion import corrode
+from peri.corrosion.metal.bond_damage import BondDamage
 from peri.engine.processes import share_out, work_per_plane
 from tests.peri.parallel import rank_cases
 
@@ -154,6 +155,35 @@ def test_blocks_narrower_than_the_reach_are_refused(on_ranks):
         assert str(on_ranks(ranks)[0]["refusal"]) == (
             f"ranks: {ranks} for a lattice of 3 nodes; every rank's block must be at least as "
             "wide as the stencil reaches, 2 nodes, so use fewer"
+        )
+
+
+@needs_mpirun
+@pytest.mark.parametrize("ranks", RANKS)
+def test_broken_bonds_are_those_of_one_process(ranks, on_ranks, embedded):
+    """One hashed number a bond: the same bonds to the last one, whoever computed the loss."""
+    result, arrays = embedded["ball"], on_ranks(ranks)[0]
+    scene = result.scene
+    damage = BondDamage(
+        scene.lattice, scene.horizon, scene.metal, scene.solid_concentration,
+        scene.saturation_concentration, 7,
+    )  # fmt: skip
+    found = []
+    for concentration, metal in (
+        (result.concentration[-1], result.metal[-1]),
+        (arrays["ball/concentration"][-1], arrays["ball/metal"][-1]),
+    ):
+        share = np.where(metal, damage.corroded(concentration), 1.0)
+        found.append(damage.damage_index(share))
+    assert 0.05 < np.nanmean(found[0][scene.metal]) < 0.95
+    np.testing.assert_array_equal(*found)
+
+
+@needs_mpirun
+def test_what_is_computed_in_one_process_is_refused(on_ranks):
+    for ranks in RANKS:
+        assert str(on_ranks(ranks)[0]["pores"]) == (
+            "pores: their liquid is computed in one process, not on ranks"
         )
 
 
