@@ -299,7 +299,8 @@ def scene_from_options(options: argparse.Namespace) -> Scene:
     if options.kinetics is not None:
         from pipeline.scene.resolve import rate_law
 
-        rate_law(scene, scene.alloys[0].name)  # refuses numbers out of range
+        for alloy in scene.alloys:
+            rate_law(scene, alloy.name)  # refuses numbers out of range, and another C_sat
     if scene.ions is not None and scene.ions.feedback is not None:
         from peri.corrosion.liquid_factors import LiquidFactors
         from pipeline.scene.resolve import rate_law
