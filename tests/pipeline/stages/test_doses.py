@@ -1,0 +1,92 @@
+"""Damage by exposures: exact in clean liquid on any lattice, else what each cell has lost."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from peri.corrosion.classes.volumes import class_bond_sums, constant_of
+from peri.corrosion.kinetics import ConstantRate
+from peri.corrosion.scene import CorrosionScene
+from peri.engine.lattice import Lattice
+from peri.engine.surface.rate_classes import cell_exposure
+from peri.omissions.well_stirred import well_stirred
+from pipeline.stages.doses import damage_by_dose, doses, exposure_at
+from tests.peri.bodies import ball, ball_exposure
+from tests.peri.engine.surface.test_rate_classes import share_of_ball
+
+RADIUS, HORIZON, DAY = 4e-4, 2e-4, 86400.0
+SURFACE = ball(RADIUS, 3)
+
+
+@pytest.fixture(scope="module", params=[2, 3])
+def scene(request) -> CorrosionScene:
+    spacing = HORIZON / request.param
+    count = 2 * int(np.ceil((RADIUS + HORIZON) / spacing)) + 1
+    lattice = Lattice((-0.5 * (count - 0.8) * spacing,) * 3, (spacing,) * 3, (count,) * 3)
+    share = share_of_ball(lattice, RADIUS)
+    return CorrosionScene(
+        lattice, HORIZON, share > 0, solid_concentration=66082.4, saturation_concentration=0.66,
+        liquid_diffusivity=1e-6, dissolution_flux=1.85e-6, kinetics=ConstantRate(),
+        exposure=cell_exposure(lattice, SURFACE, HORIZON, share, 3),
+    )  # fmt: skip
+
+
+def _points() -> np.ndarray:
+    rng = np.random.default_rng(1)
+    way = rng.normal(size=(500, 3))
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    return way * (RADIUS - 1e-5 - rng.uniform(0.0, 1.0, (500, 1)) * 0.9 * HORIZON)
+
+
+def test_in_clean_liquid_every_cell_has_the_same_dose_and_points_their_own_damage(scene, tmp_path):
+    end = 20 * DAY
+    z = constant_of(scene) * scene.base_interface_diffusivity() * end
+    found = doses(scene, well_stirred(scene, [0.0, end]).concentration)
+    assert found is not None
+    assert np.nanmax(np.abs(found[0] / z)) < 1e-9
+    there = np.isfinite(found[1])
+    assert there.sum() == np.unique(scene.exposure.metal.cell[class_bond_sums(scene) > 0]).size
+    # cells that have lost less than 1e-4 know their dose to fewer digits: measured 2e-6
+    assert np.abs(found[1][there] / z - 1).max() < 1e-5
+    solid = SimpleNamespace(points=SURFACE.vertices, triangles=SURFACE.facets)
+    points = _points()
+    seen = exposure_at(points[None], solid, HORIZON, 0.0, "constant", tmp_path)
+    again = exposure_at(points[None], solid, HORIZON, 0.0, "constant", tmp_path)
+    assert np.array_equal(seen, again) and len(list(tmp_path.iterdir())) == 1
+    lattice = scene.lattice
+    damage = damage_by_dose(points[None], seen, lattice.origin, lattice.spacing, found[1])[0]
+    exact = -np.expm1(-z * ball_exposure(RADIUS - np.linalg.norm(points, axis=1), RADIUS, HORIZON))
+    # facets of the ball of 1280: measured 0.011
+    assert np.abs(damage - exact).max() < 0.02 < np.ptp(exact)
+    outside = damage_by_dose(
+        2 * points[None], np.full((1, 500), np.inf), lattice.origin, lattice.spacing, found[1]
+    )
+    assert (outside == 1.0).all()
+
+
+def test_a_cell_loses_by_its_dose_what_it_has_lost(scene):
+    metal = scene.exposure.metal
+    rng = np.random.default_rng(2)
+    left = rng.uniform(0.0, 1.0, scene.lattice.shape)
+    seeing = np.bincount(metal.cell, metal.exposure, left.size).reshape(left.shape) > 0
+    left[~seeing] = 1.0
+    left.ravel()[np.flatnonzero(seeing)[:2]] = 0.0, 1.0
+    found = doses(scene, scene.solid_concentration * left[None])[0].ravel()
+    kept = metal.volume * np.exp(-metal.exposure * np.nan_to_num(found[metal.cell]))
+    kept = np.bincount(metal.cell, kept, left.size)[seeing.ravel()]
+    share = metal.fraction[seeing]
+    blind = np.bincount(metal.cell, metal.volume * (metal.exposure == 0), left.size)
+    blind = blind[seeing.ravel()] / share
+    np.testing.assert_allclose(kept / share, np.maximum(left[seeing], blind), atol=1e-9)
+
+
+def test_where_exposures_do_not_say_what_went_there_are_no_doses(scene):
+    solid = scene.solid_concentration
+    whole = np.full((1, *scene.lattice.shape), solid)
+    assert doses(replace(scene, dissolution="faradaic"), whole) is None
+    metal = scene.exposure.metal
+    deep = np.bincount(metal.cell, metal.exposure, whole[0].size).reshape(whole[0].shape) == 0
+    whole[0][deep & (metal.fraction > 0)] = 0.5 * solid
+    assert deep[metal.fraction > 0].any() and doses(scene, whole) is None
