@@ -5,6 +5,10 @@ whose ghosts hold zero, so that a sum over an array counts every node once; the 
 alone asks for the neighbours' values (`with_ghosts`), and every number that steers the march
 goes through `total`, `largest` or `any`.  Here they do nothing, for one process that holds the
 whole lattice; parallel/ranks.py has the same methods for MPI ranks.
+
+A number that an array of nodes is reduced to steers every process alike only if it is reduced over
+all of them, and an error that one process raises must be raised by all (`together`): else some wait
+for an exchange that the others do not come to.
 """
 
 from __future__ import annotations
@@ -16,6 +20,10 @@ from typing import TypeVar
 import numpy as np
 
 T = TypeVar("T")
+Number = TypeVar("Number", float, np.ndarray)
+
+LEAST_SINGULAR = 1e-12
+"""Of the largest singular value of a least-squares problem: what lies below counts as zero."""
 
 _IMBALANCE = 0.1
 """How far a cut between two blocks may move to suit the coarse levels, as a share of its width:
@@ -56,12 +64,28 @@ class OneProcess:
         """Sums over the processes of each entry of an array of numbers, not of nodes."""
         return values
 
-    def largest(self, value: float) -> float:
-        """Maximum over the processes."""
+    def largest(self, value: Number) -> Number:
+        """Maximum over the processes, of an array entry by entry."""
         return value
+
+    def norm(self, values: np.ndarray) -> float:
+        """Root of the sum of squares of a field over the processes."""
+        return float(np.linalg.norm(values))
+
+    def row_norms(self, rows: np.ndarray) -> np.ndarray:
+        """The same of every row of (R, n), (R,)."""
+        return np.linalg.norm(rows, axis=1)
+
+    def least_squares(self, matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+        """x (k,) of least |matrix x - right| over the processes' rows, (n, k) and (n,)."""
+        return np.linalg.lstsq(matrix, right, rcond=LEAST_SINGULAR)[0]
 
     def any(self, flag: bool) -> bool:
         """Whether the flag holds on any process."""
+        return bool(flag)
+
+    def first(self, flag: bool) -> bool:
+        """Whether this is the first of the processes that the flag holds on."""
         return bool(flag)
 
     def from_root(self, value: T) -> T:
@@ -70,6 +94,13 @@ class OneProcess:
 
     def on_root(self, action: Callable[[], T]) -> T:
         """The result of an action that the root takes; what it raises is raised everywhere."""
+        return action()
+
+    def together(self, action: Callable[[], T]) -> T:
+        """The result of an action that each process takes by itself, without exchange.
+
+        An ArithmeticError that it raises on any process is raised on all.
+        """
         return action()
 
     def gather(self, values: np.ndarray) -> np.ndarray:

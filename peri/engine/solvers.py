@@ -300,10 +300,10 @@ class DiffusionSystem(LinearSystem):
         All that the diagonal leaves as it is, work arrays too, is shared: 3 arrays of the lattice
         are new instead of 16.  The two must not be solved at the same time.
 
-        Raises ValueError for a system with walls or on ranks.
+        Raises ValueError for a system with walls.
         """
-        if not isinstance(self.operator, Convolution) or self.processes.multigrid is not None:
-            raise ValueError("with_diagonal: systems without walls, in one process")
+        if not isinstance(self.operator, Convolution):
+            raise ValueError("with_diagonal: systems without walls")
         other = copy.copy(self)
         other.diagonal, other.operator = diagonal, self.operator.with_diagonal(diagonal)
         other.extra = None

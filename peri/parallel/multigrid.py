@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -83,6 +85,22 @@ class Ghosts:
             part.destroy()
 
 
+class Cycle:
+    """What a multigrid holds of PETSc: the cycle, its right side and its solution.
+
+    It outlives the multigrid, so that ranks can free it together (Ranks.multigrid).
+    """
+
+    def __init__(self, cycle: PETSc.PC, finest: Ghosts) -> None:
+        self.cycle = cycle
+        self.right, self.solution = (finest.vector() for _ in range(2))
+
+    def close(self) -> None:
+        """Free PETSc's objects (collective)."""
+        for part in (self.cycle, self.right, self.solution):
+            part.destroy()
+
+
 class Multigrid:
     """One PCMG cycle for the local seven-point operator of the diffusion coefficients.
 
@@ -94,9 +112,14 @@ class Multigrid:
     and 2.1 s, 13 and 0.17 s with BoomerAMG; the set-up recurs whenever the step changes.
 
     Parameters : as for engine.multigrid.LocalMultigrid; arrays without margins.
+
+    held : Cycle, what PETSc has of it.
     """
 
     def __init__(self, ranks, sink, faces, spacing, coarsest_start) -> None:
+        self._anew = functools.partial(
+            ranks.multigrid, faces=faces, spacing=spacing, coarsest_start=coarsest_start
+        )
         before, between = coarsening_plan(ranks.shape3, spacing, coarsest_start)
         factors = np.ones(3, np.int64)
         for grow in before:
@@ -116,26 +139,25 @@ class Multigrid:
         self._finest = levels[0].grid
         self._right = np.zeros(levels[0].diagonal.shape)
         self._solution = np.zeros_like(self._right)
-        self._cycle = _cycle(levels, steps, sink, faces, ranks.comm)
-        self._b, self._x = (self._finest.vector() for _ in range(2))
+        self.held = Cycle(_cycle(levels, steps, sink, faces, ranks.comm), self._finest)
+
+    def with_sink(self, sink: np.ndarray) -> Multigrid:
+        """The same for other row sums, (nx, ny, nz)."""
+        return self._anew(sink)
 
     def restrict(self, residual: np.ndarray, reach) -> None:
         """Sum a padded fine-lattice residual into the right side of the first level."""
         multigrid_kernels.aggregate(
             residual, reach, tuple(int(f) for f in self.factors), self._right
         )
-        self._b.array[:] = self._right[1:-1, 1:-1, 1:-1].ravel()
+        self.held.right.array[:] = self._right[1:-1, 1:-1, 1:-1].ravel()
 
     def cycle(self) -> np.ndarray:
         """Approximate solution for that right side, with a margin of one (zero) cell."""
-        self._cycle.apply(self._b, self._x)
-        self._solution[1:-1, 1:-1, 1:-1] = self._x.array.reshape(self._finest.own.shape)
+        held = self.held
+        held.cycle.apply(held.right, held.solution)
+        self._solution[1:-1, 1:-1, 1:-1] = held.solution.array.reshape(self._finest.own.shape)
         return self._solution
-
-    def close(self) -> None:
-        """Free PETSc's objects."""
-        for part in (self._cycle, self._b, self._x):
-            part.destroy()
 
 
 def _cycle(levels: list[_Level], steps, sink, faces, comm) -> PETSc.PC:

@@ -9,13 +9,14 @@ saturation are the embedded code, with its sums taken over the ranks (engine/pro
 from __future__ import annotations
 
 import itertools
+import weakref
 
 import numpy as np
 from mpi4py import MPI
 
 from peri.engine.influence import Stencil
-from peri.engine.processes import OneProcess, share_out, work_per_plane
-from peri.parallel.multigrid import Ghosts, Multigrid
+from peri.engine.processes import LEAST_SINGULAR, OneProcess, share_out, work_per_plane
+from peri.parallel.multigrid import Cycle, Ghosts, Multigrid
 
 
 class Ranks(OneProcess):
@@ -57,7 +58,7 @@ class Ranks(OneProcess):
         self._reach = (0,) * lead + reach
         self.grid = Ghosts(comm, self.edges, max(reach))
         self._levels: dict = {}
-        self._multigrid: Multigrid | None = None
+        self._cycles: list[tuple[weakref.ref[Multigrid], Cycle]] = []
 
     # --- fields ---------------------------------------------------------------------------
 
@@ -106,9 +107,15 @@ class Ranks(OneProcess):
 
     # --- numbers --------------------------------------------------------------------------
 
+    def _reduced(self, value, operation):
+        mine = np.array(value, float)  # as numbers: pickled ones take several messages
+        out = np.empty_like(mine)
+        self.comm.Allreduce(mine, out, operation)
+        return out if out.ndim else float(out)
+
     def total(self, value: float) -> float:
         """Sum over the ranks."""
-        return self.comm.allreduce(value, MPI.SUM)
+        return self._reduced(value, MPI.SUM)
 
     def added(self, values: np.ndarray) -> np.ndarray:
         """Sums over the ranks of each entry; the same on all of them to the last bit."""
@@ -117,13 +124,33 @@ class Ranks(OneProcess):
         self.comm.Bcast(out, root=0)
         return out
 
-    def largest(self, value: float) -> float:
-        """Maximum over the ranks."""
-        return self.comm.allreduce(value, MPI.MAX)
+    def largest(self, value):
+        """Maximum over the ranks, of an array entry by entry."""
+        return self._reduced(value, MPI.MAX)
+
+    def norm(self, values: np.ndarray) -> float:
+        """Root of the sum of squares of a field over the ranks."""
+        return float(np.sqrt(self.total(float(np.vdot(values, values)))))
+
+    def row_norms(self, rows: np.ndarray) -> np.ndarray:
+        """The same of every row, (R,)."""
+        return np.sqrt(self.added(np.einsum("rn,rn->r", rows, rows)))
+
+    def least_squares(self, matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+        """Each rank brings its rows into a triangle; the triangles have the same solution."""
+        triangle = np.linalg.qr(np.column_stack([matrix, right]), mode="r")
+        parts = np.vstack(self.comm.allgather(triangle))
+        found = np.linalg.lstsq(parts[:, :-1], parts[:, -1], rcond=LEAST_SINGULAR)[0]
+        return self.from_root(found)
+
+    def first(self, flag: bool) -> bool:
+        """Whether this is the first of the ranks that the flag holds on."""
+        flags = self.comm.allgather(bool(flag))
+        return bool(flag) and flags.index(True) == self.comm.rank
 
     def any(self, flag: bool) -> bool:
         """Whether the flag holds on any rank."""
-        return bool(self.comm.allreduce(bool(flag), MPI.LOR))
+        return self.largest(float(bool(flag))) > 0
 
     def from_root(self, value):
         """Rank 0's value."""
@@ -142,18 +169,34 @@ class Ranks(OneProcess):
             raise error
         return outcome
 
+    def together(self, action):
+        """The result of each rank's own action; the first rank's error is raised on all."""
+        outcome, error = None, None
+        try:
+            outcome = action()
+        except ArithmeticError as caught:
+            error = caught
+        if self.any(error is not None):
+            raise next(e for e in self.comm.allgather(error) if e is not None)
+        return outcome
+
     # --- preconditioner -------------------------------------------------------------------
 
     def multigrid(self, sink, faces, spacing, coarsest_start) -> Multigrid:
         """PETSc's multigrid in place of engine.multigrid.LocalMultigrid (same arguments).
 
-        One at a time: a new one closes the one before, on all ranks together (Python's garbage
-        collection would not keep the ranks in step).
+        What it holds of PETSc is freed once no rank has it any more, on all of them together when
+        the next one is made: Python's garbage collection would not keep the ranks in step.
         """
-        if self._multigrid is not None:
-            self._multigrid.close()
-        self._multigrid = Multigrid(self, sink, faces, spacing, coarsest_start)
-        return self._multigrid
+        unused = np.array([made() is None for made, _ in self._cycles], float)
+        unused = self._reduced(unused, MPI.MIN) > 0
+        for (_, cycle), gone in zip(self._cycles, unused, strict=True):
+            if gone:
+                cycle.close()
+        self._cycles = [c for c, gone in zip(self._cycles, unused, strict=True) if not gone]
+        made = Multigrid(self, sink, faces, spacing, coarsest_start)
+        self._cycles.append((weakref.ref(made), made.held))
+        return made
 
     def level(self, factors: np.ndarray) -> Ghosts | None:
         """The lattice aggregated by `factors` (3,); None where that would cut through blocks."""
@@ -167,6 +210,8 @@ class Ranks(OneProcess):
 
     def close(self) -> None:
         """Free PETSc's objects (collective)."""
-        for part in (self._multigrid, *self._levels.values(), self.grid):
+        cycles = (cycle for _, cycle in self._cycles)
+        for part in (*cycles, *self._levels.values(), self.grid):
             if part is not None:
                 part.close()
+        self._cycles = []

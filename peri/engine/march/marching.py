@@ -192,11 +192,9 @@ def _restore(problem: Problem, path: Path, mark: str, record: _Record) -> Course
         numbers, fields = f"{name}/numbers/", f"{name}/fields/"
         return State(
             float(small[f"{name}/time"]),
-            {
-                n.removeprefix(fields): problem.unpack(n.removeprefix(fields), arrays.get(n))
-                for n in names
-                if n.startswith(fields)
-            },
+            problem.unpack_fields(
+                {n.removeprefix(fields): arrays.get(n) for n in names if n.startswith(fields)}
+            ),
             {n.removeprefix(numbers): float(small[n]) for n in names if n.startswith(numbers)},
         )
 

@@ -150,6 +150,10 @@ class Problem(ABC):
         assert stored is not None
         return stored
 
+    def unpack_fields(self, stored: Mapping[str, np.ndarray | None]) -> Fields:
+        """The fields of one stored state (None except on the root), each by `unpack`."""
+        return {name: self.unpack(name, values) for name, values in stored.items()}
+
     def describe(self, state: State) -> str:
         """A few words for the progress bar."""
         return moment(state.time)
