@@ -26,6 +26,7 @@ from peri.coupled.feedback import Agreement
 from peri.coupled.ohmic import Ohmic
 from peri.coupled.surroundings import MAGNESIUM, Surroundings
 from peri.engine.constants import FARADAY
+from peri.engine.processes import OneProcess
 from peri.transport.liquid import LiquidSpace, LiquidState
 
 ELECTRONS = MAGNESIUM["OH"]
@@ -48,7 +49,7 @@ class ChargeBalance:
     Raises
     ------
     ValueError
-        For solids with different balances, or `applied` where nothing is refreshed.
+        For solids with different balances.
     """
 
     def __init__(self, scene: CorrosionScene, laws: list[ElectrodeKinetics]) -> None:
@@ -57,11 +58,6 @@ class ChargeBalance:
         if len(how) > 1:
             raise ValueError("balance: the solids of one metal must have the same")
         self.balance, self.potential, self.current = how.pop()
-        if self.balance == "applied" and not scene.refreshed().any():
-            raise ValueError(
-                "balance: 'applied' in a closed vessel, which no current leaves; it needs a "
-                "refreshed boundary"
-            )
 
     @classmethod
     def of(cls, scene: CorrosionScene) -> ChargeBalance | None:
@@ -80,8 +76,13 @@ class ChargeBalance:
             )
         return cls(scene, electrodes)
 
-    def check(self, closure: str, bath: bool) -> None:
+    def check(self, closure: str, bath: bool, is_open: bool) -> None:
         """Refuse what no current can go through: ValueError."""
+        if self.balance == "applied" and not is_open:
+            raise ValueError(
+                "balance: 'applied' in a closed vessel, which no current leaves; it needs a "
+                "refreshed boundary"
+            )
         if closure not in ("electroneutral", "poisson"):
             raise ValueError(
                 f"closure: '{closure}' with balance '{self.balance}', whose current needs a "
@@ -164,11 +165,14 @@ class ChargeBalance:
         discrete = around.discrete
         strengths = self.strengths(around, concentration, theta)
         of = strengths > 0
-        if not of.any():  # no metal is left
+        if not discrete.processes.any(of.any()):  # no metal is left
             return self.rest, np.full(of.shape, self.rest)
         phi = np.broadcast_to(beside["liquid_potential"], of.shape)
-        surface = _Surface(self, strengths[of], discrete.box_phase[of], _on(of, beside), phi[of])
-        if read is None or np.ptp(surface.phi) <= _RESISTS:
+        surface = _Surface(
+            self, discrete.processes, strengths[of], discrete.box_phase[of], _on(of, beside),
+            phi[of],
+        )  # fmt: skip
+        if read is None or surface.drop <= _RESISTS:
             metal = surface.potential(surface.phi)
             return metal, metal - phi
         ohmic = Ohmic(around, liquid, of, ELECTRONS * surface.strengths)
@@ -206,24 +210,38 @@ class ChargeBalance:
         that of the stage is spread over the cathodes, so that the whole is exact.
         """
         anodic, cathodic = self.rates(around.discrete.box_phase, seen)
-        net = anodic - cathodic
+        net, total = anodic - cathodic, around.discrete.processes.total
         if self.potential is None:
             strengths = self.strengths(around, concentration, theta)
-            whole = float(strengths.sum())
+            whole = total(float(strengths.sum()))
             if whole > 0:
-                net = net - (float((strengths * net).sum()) - self.wanted) / whole
+                net = net - (total(float((strengths * net).sum())) - self.wanted) / whole
         rate = around.discrete.base_diffusivity
         return ELECTRONS * around.inflow(concentration, theta, rate, net)
 
 
 class _Surface:
-    """The nodes that liquid sees, (k,): strengths U, number of their solid, and what they see."""
+    """The nodes that liquid sees, (k,): strengths U, number of their solid, and what they see.
+
+    processes : that have them; sums are over all.
+    """
 
     def __init__(
-        self, of: ChargeBalance, strengths: np.ndarray, phase: np.ndarray, seen: Seen,
-        phi: np.ndarray,
+        self, of: ChargeBalance, processes: OneProcess, strengths: np.ndarray, phase: np.ndarray,
+        seen: Seen, phi: np.ndarray,
     ) -> None:  # fmt: skip
         self.of, self.strengths, self.phase, self.seen, self.phi = of, strengths, phase, seen, phi
+        self._processes = processes
+
+    @property
+    def drop(self) -> float:
+        """Between the highest and the lowest phi, V."""
+        largest, phi = self._processes.largest, self.phi
+        highest = largest(float(phi.max(initial=-np.inf)))
+        return highest + largest(-float(phi.min(initial=np.inf)))
+
+    def _sum(self, of_nodes: np.ndarray) -> float:
+        return self._processes.total(float(self.strengths @ of_nodes))
 
     def net(self, potential: np.ndarray) -> np.ndarray:
         """Anode less cathode of every node."""
@@ -237,7 +255,7 @@ class _Surface:
             return of.potential
 
         def excess(metal: float) -> float:
-            return float(self.strengths @ self.net(metal - phi)) - of.wanted
+            return self._sum(self.net(metal - phi)) - of.wanted
 
         own = [v for law in of.laws for v in (law.potential, law.hydrogen_potential)]
         low, high = min(own) - _REACH, max(own) + _REACH
@@ -254,13 +272,11 @@ def _on(of: np.ndarray, seen: Mapping[str, np.ndarray | float]) -> Seen:
 def check_one_piece(space: LiquidSpace) -> None:
     """Raise ValueError for liquid in parts that neither bonds nor the refreshed layer join."""
     reached = space.exit > 0
-    if not reached.any():
-        reached[:1] = True
-    while not reached.all():
-        grown = reached | (space.neighbours(reached.astype(float)) > 0)
-        if (grown == reached).all():
-            raise ValueError(
-                f"balance: {int((~reached).sum())} nodes of the liquid are cut off from the rest, "
-                "so that no current joins their anodes and cathodes; use 'local'"
-            )
-        reached = grown
+    if not space.any(reached):
+        reached[:1] = space.processes.first(space.n > 0)
+    apart = space.count(~space.joined_to(reached))
+    if apart:
+        raise ValueError(
+            f"balance: {apart} nodes of the liquid are cut off from the rest, so that no current "
+            "joins their anodes and cathodes; use 'local'"
+        )

@@ -17,10 +17,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.ndimage import binary_erosion
 
 from peri.corrosion.kinetics import Exposed
-from peri.corrosion.nodes.problem import COLUMNS, CorrosionProblem
+from peri.corrosion.nodes.problem import COLUMNS
 from peri.corrosion.nodes.stage import Stage as MetalStage
 from peri.corrosion.scene import CorrosionScene
 from peri.coupled.bath import Bath, BathLiquid
@@ -33,13 +32,20 @@ from peri.coupled.feedback import (
     components_of,
     medium_beside,
 )
-from peri.coupled.liquid_fields import LiquidFields, foreseen_liquid
+from peri.coupled.kept_fields import LAYOUT, KeptFields
+from peri.coupled.liquid_fields import foreseen_liquid
 from peri.coupled.outputs import composition
-from peri.coupled.surroundings import HYDROGEN_PER_METAL, Surroundings, relaxation_time
+from peri.coupled.surroundings import (
+    HYDROGEN_PER_METAL,
+    Surroundings,
+    outside_of,
+    relaxation_time,
+)
 from peri.engine.constants import FARADAY
 from peri.engine.march.checkpoints import fingerprint
 from peri.engine.march.problem import Attempt, BoundsError, Fields, Stage, State
 from peri.engine.march.stepping import GAMMA
+from peri.engine.processes import ONE_PROCESS, OneProcess
 from peri.engine.solvers import ConvergenceError
 from peri.transport.chemistry.composition import CompositionError
 from peri.transport.chemistry.speciation import Solution
@@ -55,10 +61,8 @@ STORAGE_LIMIT = 0.05
 """Bound of what a liquid at rest errs by (Degradation.storage_bound) above which its content is
 followed."""
 
-_LATTICE_FIELDS = ("minerals", "rest", "content", "bath")
 
-
-class Degradation(CorrosionProblem):
+class Degradation(KeptFields):
     """A CorrosionScene in a medium whose ions are followed as TransportOptions say.
 
     Fields of its states beside those of CorrosionProblem, while the liquid is followed: `minerals`
@@ -76,6 +80,7 @@ class Degradation(CorrosionProblem):
     storage : follow the liquid's content; None: without a refreshed layer, and where the bound
         of leaving it out exceeds STORAGE_LIMIT
     bath : of finite volume, which what leaves stays in; None: always fresh medium
+    processes : who holds which block of the lattice; the scene is the root's, all else is alike
 
     potential_left_out : bound of |phi| at the first release, V, where it is left out
 
@@ -87,17 +92,20 @@ class Degradation(CorrosionProblem):
 
     def __init__(
         self,
-        scene: CorrosionScene,
+        scene: CorrosionScene | None,
         medium: Solution,
         options: TransportOptions | None = None,
         solver_tolerance: float = 1e-9,
         minerals: bool | None = None,
         storage: bool | None = None,
         bath: Bath | None = None,
+        processes: OneProcess = ONE_PROCESS,
     ) -> None:
+        balanced = processes.on_root(lambda: ChargeBalance.of(scene) is not None)
+        given = OF_THE_LIQUID | ({"potential"} if balanced else set())
+        super().__init__(scene, solver_tolerance, processes, given=given)
+        scene = self.scene  # this process's block
         self.charge_balance = ChargeBalance.of(scene)
-        given = OF_THE_LIQUID | ({"potential"} if self.charge_balance else set())
-        super().__init__(scene, solver_tolerance, given=given)
         reads = scene.needs & given if self.discrete.box is not None else ()
         self._reads = tuple(sorted(reads))
         self.of_the_box = (*self.of_the_box, "switch", *(f"seen_{name}" for name in self._reads))
@@ -113,7 +121,7 @@ class Degradation(CorrosionProblem):
             # The liquid's balance is no better than that of what the metal releases into it.
             self.discrete.tolerance = min(solver_tolerance, 1e-12)
         if self.charge_balance is not None:
-            self.charge_balance.check(self.options.closure, bath is not None)
+            self.charge_balance.check(self.options.closure, bath is not None, self.discrete.is_open)
             self.charge_balance.begin(self.surroundings)
         first = self._first_liquid()
         self.potential_left_out = self.surroundings.liquid.potential_bound(first)
@@ -152,7 +160,7 @@ class Degradation(CorrosionProblem):
         return fingerprint(
             super().key(), self.medium.concentration, self.medium.ln_gamma, chemistry.names,
             chemistry.stoichiometry, chemistry.ln_k, chemistry.diffusivity, minerals, self.options,
-            self.follows_minerals, self.stores, self.bath and self.bath.bath,
+            self.follows_minerals, self.stores, self.bath and self.bath.bath, LAYOUT,
         )  # fmt: skip
 
     # --- the liquid -----------------------------------------------------------------------
@@ -165,11 +173,6 @@ class Degradation(CorrosionProblem):
             if self.charge_balance is not None:
                 check_one_piece(self._surroundings.space)
         return self._surroundings
-
-    @property
-    def on_nodes(self) -> LiquidFields:
-        """The fields of a state on the liquid's nodes."""
-        return LiquidFields(self.surroundings)
 
     def _must_store(self) -> bool:
         """Whether a liquid at rest would err by too much, or has no state at all."""
@@ -185,13 +188,15 @@ class Degradation(CorrosionProblem):
         relaxation_time (|d ln g / dV_L| dV_L/dt + the fastest node's loss rate).
         """
         scene = self.scene
+        time, (outside, nodes) = self.processes.on_root(
+            lambda: (relaxation_time(self._whole_scene, self.medium), outside_of(self._whole_scene))
+        )
         pace = self.pace(super().initial())
         if scene.one_rate:
             first, later = (scene.kinetics.rate(Exposed(v)) for v in (0.0, 1e-6))
             steepness = abs(later / first - 1) / 1e-6 if first else 0.0
-            metal = scene.metal & ~binary_erosion(scene.metal)
-            pace *= 1.0 + steepness * float(metal.sum()) / max(float(scene.metal.sum()), 1.0)
-        return relaxation_time(scene, self.medium) * pace
+            pace *= 1.0 + steepness * outside / nodes
+        return time * pace
 
     def _first_liquid(self) -> LiquidState:
         """The liquid at the first release, without minerals; with storage as it begins."""
@@ -205,7 +210,9 @@ class Degradation(CorrosionProblem):
     def _any_forms(self, first: LiquidState) -> bool:
         """Whether a mineral passes its nucleation index at the first, largest release."""
         return any(
-            bool((m.region & (m.ln_omega(first.ln_component) > m.ln_nucleation)).any())
+            self.surroundings.space.any(
+                m.region & (m.ln_omega(first.ln_component) > m.ln_nucleation)
+            )
             for m in self.surroundings.liquid.minerals
         )
 
@@ -273,19 +280,6 @@ class Degradation(CorrosionProblem):
         super().restore(state)
         self._surroundings = None
 
-    def pack(self, name: str, values: np.ndarray) -> np.ndarray:
-        """Fields of the liquid as they are; the others as CorrosionProblem does."""
-        if name in _LATTICE_FIELDS or name.startswith("liquid_"):
-            return values
-        return super().pack(name, values)
-
-    def unpack(self, name: str, stored: np.ndarray | None) -> np.ndarray:
-        """This process's field."""
-        if name in _LATTICE_FIELDS or name.startswith("liquid_"):
-            assert stored is not None
-            return stored
-        return super().unpack(name, stored)
-
     def accept(self, state: State, stages: Sequence[Stage], step: float) -> None:
         """Metal that is used up turns liquid; the liquid's fields move to the new nodes."""
         before = self.discrete.metal.copy()
@@ -326,15 +320,17 @@ class Degradation(CorrosionProblem):
         before, after = attempt.old.fields["concentration"], attempt.stages[-1].fields
         metal, capacity = self.discrete.metal, self.discrete.capacity
         lost = float((capacity * (before - after["concentration"]))[metal].sum())
+        lost = self.processes.total(lost)
         return max(change, self.on_nodes.change(attempt, lost))
 
     def foreseen(self, now: Fields, before: Fields, factor: float) -> Fields:
         """The liquid as its last change goes on, once there is one to go by."""
-        return foreseen_liquid(now, before, factor)
+        return foreseen_liquid(now, before, factor, self.processes)
 
     def continues(self, first: Stage, right: Fields) -> bool:
         """Where elements are booked, a mineral that vanishes takes a first-order step."""
-        if (self.stores or self.bath is not None) and right["minerals"].min(initial=0.0) < 0:
+        booked = self.stores or self.bath is not None
+        if booked and self.processes.any(right["minerals"].min(initial=0.0) < 0):
             return False
         return super().continues(first, right)
 
@@ -393,7 +389,8 @@ class Degradation(CorrosionProblem):
         if charge is not None:
             stage.rates["charge"] = around.space.total(charge)
         held, span = old["minerals"], tau
-        if self._at_start is not None and held is not self._at_start and held.min(initial=0.0) < 0:
+        second = self._at_start is not None and held is not self._at_start
+        if second and self.processes.any(held.min(initial=0.0) < 0):
             # The second stage of a step in which a mineral vanishes: this one field is taken from
             # the start of the step at first order, which is positive; the metal keeps its order.
             held, span = self._at_start, tau / GAMMA
@@ -448,9 +445,9 @@ class Degradation(CorrosionProblem):
         if not self.follows_minerals:
             return row
         around = self.surroundings
-        ph = around.liquid.ph(self.on_nodes.read(state.fields, composed=False)).max(initial=-np.inf)
+        ph = around.liquid.ph(self.on_nodes.read(state.fields, composed=False))
         amounts = self.on_nodes.at(state.fields["minerals"])
-        row = (*row, float(ph), *(around.space.total(a) for a in amounts))
+        row = (*row, -around.space.lowest(-ph), *(around.space.total(a) for a in amounts))
         if self.bath is not None:
             row = (*row, float(self._hold(state.fields["bath"]).ph[0]))
         if self.charge_balance is not None:
@@ -495,6 +492,6 @@ class Degradation(CorrosionProblem):
         balance = 0.0
         if self.stores or self.bath is not None:
             balance = self._element_error(state)
-        elif source.any() and known:
+        elif around.space.any(source) and known:
             balance = float(around.liquid.balance(found, source).max())
         return out | {"balance": balance, "released": around.space.total(source)}

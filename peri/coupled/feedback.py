@@ -10,6 +10,7 @@ from peri.corrosion.inhibition import Inhibited
 from peri.corrosion.nodes.bimaterial import BiMaterial
 from peri.corrosion.scene import CorrosionScene
 from peri.coupled.surroundings import Surroundings
+from peri.engine.processes import OneProcess
 from peri.engine.solvers import ConvergenceError
 from peri.transport.chemistry.speciation import Solution
 from peri.transport.liquid import LiquidState
@@ -130,9 +131,10 @@ class Agreement:
         safe: Seen | None = None,
     ) -> None:
         self.discrete, self.seen, self._safe, self._backwards = discrete, seen, safe, 0
+        self._processes = discrete.processes
         self._sees = discrete.box_metal & (discrete.box_neighbour_liquid > 0)
         self._rates = rates or self._own_rates
-        self._mixing = Mixing()
+        self._mixing = Mixing(self._processes)
         self._rounds = 0
 
     def with_(self, found: dict[str, np.ndarray | float], volume_loss: float) -> bool:
@@ -146,15 +148,15 @@ class Agreement:
             np.asarray(self._rates(values, volume_loss))[..., self._sees]
             for values in (self.seen, there)
         )
-        apart = float(np.abs(after - before).max(initial=0.0))
-        if apart <= AGREED * float(np.abs(after).max(initial=0.0)):
+        apart = _largest(self._processes, after - before)
+        fastest = _largest(self._processes, after)
+        if apart <= AGREED * fastest:
             return True
         self._rounds += 1
         if self._rounds >= _ROUNDS:
             raise ConvergenceError(
                 f"kinetics: the rate by what the metal reads of the liquid still changes by "
-                f"{apart / float(np.abs(after).max()):.2g} after {_ROUNDS} rounds; a shorter step "
-                "will do"
+                f"{apart / fastest:.2g} after {_ROUNDS} rounds; a shorter step will do"
             )
         self.seen = self._mixed(there)
         return False
@@ -165,7 +167,7 @@ class Agreement:
         if self._safe is None or self._backwards > _HALVINGS:
             return False
         self.seen = {n: 0.5 * (values + self._safe[n]) for n, values in self.seen.items()}
-        self._mixing = Mixing()
+        self._mixing = Mixing(self._processes)
         return True
 
     def _own_rates(self, seen: Seen, volume_loss: float) -> np.ndarray:
@@ -174,15 +176,19 @@ class Agreement:
         return np.broadcast_to(share, self._sees.shape)
 
     def _mixed(self, there: Seen) -> Seen:
-        scale = {n: _scale(n, values[self._sees]) for n, values in there.items()}
+        scale = {
+            n: _scale(n, _largest(self._processes, values[self._sees]))
+            for n, values in there.items()
+        }
         old, new = (
             np.concatenate([values[n][self._sees] / scale[n] for n in self.seen])
             for values in (self.seen, there)
         )
         mixed = self._mixing.next(old, new)
         parts = dict(zip(self.seen, np.split(mixed, len(self.seen)), strict=True))
-        if any((parts[n] < 0).any() for n in parts if n in _POSITIVE):
-            self._mixing = Mixing()
+        below = any((parts[n] < 0).any() for n in parts if n in _POSITIVE)
+        if self._processes.any(below):
+            self._mixing = Mixing(self._processes)
             return {n: values.copy() for n, values in there.items()}
         out = {}
         for n, values in there.items():
@@ -194,9 +200,13 @@ class Agreement:
 _POSITIVE = frozenset({"chloride", "magnesium", "inhibitor", "layer"})
 
 
-def _scale(name: str, values: np.ndarray) -> float:
+def _largest(processes: OneProcess, values: np.ndarray) -> float:
+    """The largest size of any value on any process."""
+    return processes.largest(float(np.abs(values).max(initial=0.0)))
+
+
+def _scale(name: str, largest: float) -> float:
     """What counts as much as one unit of pH: all of an amount."""
     if name == "potential":
         return _VOLT
-    largest = float(np.abs(values).max(initial=0.0))
     return largest if name in _POSITIVE and largest > 0 else 1.0

@@ -6,6 +6,7 @@ import numpy as np
 
 from peri.coupled.surroundings import Surroundings
 from peri.engine.march.problem import Attempt, Fields
+from peri.engine.processes import ONE_PROCESS, OneProcess
 from peri.transport.liquid import LiquidState
 
 TRACE = 0.01
@@ -51,6 +52,43 @@ class LiquidFields:
             charge = liquid.chemistry.charge @ concentration
         return LiquidState(concentration=concentration, net_charge=charge, active=active, **scalars)
 
+    def pack(self, values: np.ndarray) -> np.ndarray:
+        """Rows (k, n) of all processes on the root, in the order of the lattice's nodes.
+
+        No columns of a state of other nodes: it is only looked back on, and there is no trend.
+        """
+        space = self.around.space
+        if space.processes.any(values.shape[-1] != space.n):
+            return values[..., :0]
+        if space.processes.whole:
+            return values
+        where, rows = self._on_root(np.ones(space.n)) > 0, np.atleast_2d(values)
+        found = [self._on_root(row)[where] for row in rows]
+        return np.array(found).reshape(*values.shape[:-1], int(where.sum()))
+
+    def _on_root(self, row: np.ndarray) -> np.ndarray:
+        """The whole lattice's array of values (n,), 0 elsewhere."""
+        space = self.around.space
+        return space.processes.gather(space.crop(row, elsewhere=0.0))
+
+    def unpack(self, stored: np.ndarray | None) -> np.ndarray:
+        """This process's part of what the root packed."""
+        space, processes = self.around.space, self.around.space.processes
+        if processes.whole:
+            assert stored is not None
+            return stored
+        *lead, count = processes.from_root(None if stored is None else stored.shape)
+        if not count:
+            return np.zeros((*lead, 0))
+        where = self._on_root(np.ones(space.n)) > 0
+        rows = np.empty((int(np.prod(lead)), space.n))
+        for r in range(len(rows)):
+            field = np.zeros(where.shape)
+            if stored is not None:
+                field[where] = stored.reshape(len(rows), count)[r]
+            rows[r] = space.gather(space.sum.pad(processes.scatter(field)))
+        return rows.reshape(*lead, space.n)
+
     def write(self, state: LiquidState) -> Fields:
         """Fields `liquid_...` that later solutions start from."""
         fields = {f"liquid_{name}": getattr(state, name) for name in _SCALARS}
@@ -63,30 +101,36 @@ class LiquidFields:
         lost : what the metal loses in the step, mol/m3 times cells.  A mineral that takes or gives
         less than TRACE of it counts as if it took that much.
         """
-        volume, worst = self.around.space.volume, 0.0
+        space, worst = self.around.space, 0.0
+
+        def moved(amount: np.ndarray) -> float:
+            return space.processes.total(float(space.volume @ np.abs(amount)))
+
         before, after, expected = (
             self.at(fields["minerals"])
             for fields in (attempt.old.fields, attempt.stages[-1].fields, attempt.expected)
         )
         for mine, foretold in zip(after - before, expected, strict=True):
-            scale = max(float(volume @ np.abs(mine)), TRACE * lost)
+            scale = max(moved(mine), TRACE * lost)
             if scale > 0:
-                off = float(volume @ np.abs(mine - foretold))
-                worst = max(worst, attempt.share * off / scale)
+                worst = max(worst, attempt.share * moved(mine - foretold) / scale)
         return worst
 
 
-def foreseen_liquid(now: Fields, before: Fields, factor: float) -> Fields:
+def foreseen_liquid(
+    now: Fields, before: Fields, factor: float, processes: OneProcess = ONE_PROCESS
+) -> Fields:
     """Fields `liquid_...` as their last change goes on; none where there is none to go by.
 
     now, before : of the present state and of the one before;  factor : how far ahead, in last steps
     """
-    if not factor or "liquid_release" not in before or not before["liquid_release"].any():
+    if not factor or "liquid_release" not in before:
         return {}
+    grown = any(now[f"liquid_{n}"].shape != before[f"liquid_{n}"].shape for n in _SMOOTH)
+    if processes.any(grown) or not processes.any(before["liquid_release"].any()):
+        return {}  # nodes have turned liquid, or it was at rest
     found = {}
     for name in (f"liquid_{n}" for n in _SMOOTH):
-        if now[name].shape != before[name].shape:  # nodes have turned liquid
-            return {}
         change = now[name] - before[name]
         if name == "liquid_ln_component":
             change[np.abs(change) > _LARGEST_CHANGE] = 0.0

@@ -63,7 +63,8 @@ class Ohmic:
         self._row_sums = np.maximum(self.operator.row_sums(), 0.0)
         self._bonds = discrete.box(discrete.take(space.all_volume))[of]
         self.thermal = liquid.thermal_voltage
-        self.closed = not space.exit.any()
+        self.closed = not space.any(space.exit)
+        self._total, self._norm = space.processes.total, space.processes.norm
 
     def seen(self, psi: np.ndarray) -> np.ndarray:
         """M: the mean of a padded field over the bonds of each node, (k,)."""
@@ -95,7 +96,7 @@ class Ohmic:
 
     def _solve(self, system: LinearSystem, right: np.ndarray, reduction: float) -> np.ndarray:
         found = np.zeros_like(right)
-        system.solve(found, right.copy(), reduction * float(np.linalg.norm(right)))
+        system.solve(found, right.copy(), reduction * self._norm(right))
         return found
 
     def answer(
@@ -112,10 +113,11 @@ class Ohmic:
         liquid had `phi` (k,), V;  begin : E_m that balances the currents for a phi;  wanted : of
         the sum of strengths times net, None where E_m is held (`begin` gives it)
         """
-        strengths, thermal = self.strengths, self.thermal
+        strengths, thermal, total = self.strengths, self.thermal, self._total
         before = net(read)
         if wanted is not None:
-            before = before - (float(strengths @ before) - wanted) / float(strengths.sum())
+            whole = total(float(strengths.sum()))
+            before = before - (total(float(strengths @ before)) - wanted) / whole
         none = np.zeros(strengths.size)
         # From no current: where currents are too large, each step takes them down e times only.
         drop = self._solve(self._system(none), self.given(strengths * before), _ENOUGH)
@@ -129,53 +131,59 @@ class Ohmic:
             source = self.given(strengths * now)
             self.operator.apply(psi, row)
             residual = (source - row) * self.unknown
-            left = wanted - float(strengths @ now) if free else 0.0
-            size = float(np.linalg.norm(self.given(strengths * np.abs(now))))
-            if np.linalg.norm(residual) <= _ENOUGH * size:
-                if not free or abs(left) <= _ENOUGH * float(strengths @ np.abs(now)):
+            left = wanted - total(float(strengths @ now)) if free else 0.0
+            size = self._norm(self.given(strengths * np.abs(now)))
+            if self._norm(residual) <= _ENOUGH * size:
+                if not free or abs(left) <= _ENOUGH * total(float(strengths @ np.abs(now))):
                     break
             slope = strengths * _slope(net, own)
             system = self._system(thermal * slope)
             step, lift = self._solve(system, residual, _INNER), 0.0
             if free:
                 other = self._solve(system, self.given(slope), _INNER)
-                pull = float(slope.sum()) - thermal * float(slope @ self.seen(other))
-                lift = (left + thermal * float(slope @ self.seen(step))) / pull
+                own_pull = total(float(slope.sum()))
+                pull = own_pull - thermal * total(float(slope @ self.seen(other)))
+                lift = (left + thermal * total(float(slope @ self.seen(step)))) / pull
                 step += lift * other
             change = lift - thermal * self.seen(step)
             self.operator.apply(step, row)
-            along = float((residual * step).sum()) + left * lift / thermal
-            share = _search(net, strengths / thermal, own, change, along, float((row * step).sum()))
+            along = total(float((residual * step).sum())) + left * lift / thermal
+            bend = total(float((row * step).sum()))
+            share = self._search(net, own, change, along, bend)
             psi += share * step
             metal += share * lift
         if self.closed:
-            level = float(self.around.space.gather(psi - drop).mean())
+            level = self.around.space.mean(self.around.space.gather(psi - drop))
             metal -= thermal * level
         return metal, own
+
+    def _search(
+        self, net: Net, own: np.ndarray, change: np.ndarray, along: float, bend: float
+    ) -> float:
+        """The share of a step at which the convex function is least along it.
+
+        along : what it falls by per share at first;  bend : the liquid's part of its second
+        derivative
+        """
+        weight = self.strengths / self.thermal
+
+        def of_nodes(share: float) -> float:
+            return self._total(float(weight @ (net(own + share * change) * change)))
+
+        first = of_nodes(0.0)
+
+        def slope(share: float) -> float:
+            return share * bend + of_nodes(share) - first - along
+
+        if along <= 0.0 or abs(slope(1.0)) <= 0.1 * along:
+            return 1.0
+        high = 1.0
+        while slope(high) < 0.0:
+            high *= 2.0
+            if high > _FARTHEST:
+                return high
+        return float(brentq(slope, 0.0, high, xtol=1e-12, rtol=1e-3))
 
 
 def _slope(net: Net, own: np.ndarray, by: float = 1e-6) -> np.ndarray:
     return np.maximum((net(own + by) - net(own - by)) / (2.0 * by), 0.0)
-
-
-def _search(
-    net: Net, weight: np.ndarray, own: np.ndarray, change: np.ndarray, along: float, bend: float
-) -> float:
-    """The share of a step at which the convex function is least along it.
-
-    along : what it falls by per share at first;  bend : the liquid's part of its second derivative
-    """
-    first = float(weight @ (net(own) * change))
-
-    def slope(share: float) -> float:
-        nodes = float(weight @ (net(own + share * change) * change))
-        return share * bend + nodes - first - along
-
-    if along <= 0.0 or abs(slope(1.0)) <= 0.1 * along:
-        return 1.0
-    high = 1.0
-    while slope(high) < 0.0:
-        high *= 2.0
-        if high > _FARTHEST:
-            return high
-    return float(brentq(slope, 0.0, high, xtol=1e-12, rtol=1e-3))

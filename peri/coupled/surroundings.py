@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import binary_erosion, distance_transform_edt
 
 from peri.corrosion.nodes.bimaterial import BiMaterial
 from peri.corrosion.scene import CorrosionScene
@@ -26,12 +26,18 @@ def relaxation_time(scene: CorrosionScene, medium: Solution) -> float:
     return width**2 / (2 * float(medium.chemistry.diffusivity.min()))
 
 
+def outside_of(scene: CorrosionScene) -> tuple[float, float]:
+    """How many of the metal's nodes lie at its surface, and how many there are (at least 1)."""
+    metal = scene.metal & ~binary_erosion(scene.metal)
+    return float(metal.sum()), max(float(scene.metal.sum()), 1.0)
+
+
 class Surroundings:
     """Liquid nodes, chemistry and release for the present phases of a bi-material problem.
 
     Parameters
     ----------
-    discrete : BiMaterial, in one process
+    discrete : BiMaterial; its processes share out the liquid, too
     medium : Solution of one node, what refreshed nodes hold
     options : TransportOptions
     stores : whether the liquid has a content (StoredLiquid) or is at rest (QuasiSteadyLiquid)
@@ -44,7 +50,7 @@ class Surroundings:
     Raises
     ------
     ValueError
-        At rest without a refreshed layer, or where the whole lattice is not in this process.
+        At rest without a refreshed layer.
     """
 
     def __init__(
@@ -55,27 +61,26 @@ class Surroundings:
         stores: bool = False,
     ) -> None:
         scene = discrete.scene
-        if not discrete.processes.whole:
-            raise ValueError("ranks: the liquid's chemistry needs the whole lattice in one process")
         if not scene.dissolution.reduces:
             raise ValueError(
                 f"dissolution: '{scene.dissolution.name}' with the ions of the liquid; allowed: "
                 "proportional"
             )
         fixed = discrete.sum.crop(discrete.fixed.astype(float)) > 0
-        if not (fixed.any() or stores):
+        if not (discrete.is_open or stores):
             raise ValueError(
                 f"boundary: '{scene.boundary}' leaves no refreshed liquid, so the liquid must store"
             )
         metal = discrete.sum.crop(discrete.metal.astype(float)) > 0
         liquid = scene.domain & ~metal
         capacity = scene.capacity()
-        space = LiquidSpace(scene.stencil, liquid, fixed, capacity)
+        given, processes = (fixed, capacity), discrete.processes
+        space = LiquidSpace(scene.stencil, liquid, *given, processes)
         lost = np.zeros(space.n, bool) if stores else space.cut_off()
-        self.pockets = int(lost.sum())
+        self.pockets = space.count(lost)
         if self.pockets:
             gone = space.crop(lost.astype(float), elsewhere=0.0) > 0
-            space = LiquidSpace(scene.stencil, liquid & ~gone, fixed, capacity)
+            space = LiquidSpace(scene.stencil, liquid & ~gone, *given, processes)
         self.space, self.discrete = space, discrete
         near = np.zeros(space.n, bool)
         if discrete.box is not None:
@@ -105,8 +110,9 @@ class Surroundings:
         rate, local = discrete.interface_rate(volume_loss, discrete.seen_liquid(liquid))
         inflow = self._brought(concentration, theta, rate, local)
         source = self.space.gather(discrete.put(inflow))
-        whole = float((inflow * discrete.box_free_volume).sum())
-        there = float(self.space.volume @ source)
+        total = discrete.processes.total
+        whole = total(float((inflow * discrete.box_free_volume).sum()))
+        there = total(float(self.space.volume @ source))
         self.pocket_share = 1.0 - there / whole if whole > 0 else 0.0
         return source
 
@@ -146,7 +152,7 @@ class Surroundings:
         place = np.searchsorted(older.space.index, self.space.index[known])
         new = np.zeros((len(values), self.space.n))
         new[:, known] = values[:, place]
-        if not known.all():
+        if self.space.any(~known):
             degree = np.maximum(self.space.neighbours(known.astype(float)), 1e-300)
             for row in new:
                 row[~known] = (self.space.neighbours(row) / degree)[~known]

@@ -97,7 +97,8 @@ def migration(
     """
     if form == "sg":
         out = np.zeros_like(psi)
-        _sg_migration(out, bond_sum.octant, volume, concentration, psi, float(z))
+        fields = (bond_sum.with_neighbours(v) for v in (volume, concentration, psi))
+        _sg_migration(out, bond_sum.octant, *fields, float(z))
         return out
     if form not in FLUX_FORMS:
         raise ValueError(f"flux_form: '{form}'; allowed are {', '.join(FLUX_FORMS)}")
@@ -151,18 +152,19 @@ def _sg_migration(out, octant, volume, c, psi, z):  # type: ignore[no-untyped-de
                 out[i, j, k] = total
 
 
-def largest_bond_step(psi: np.ndarray, volume: np.ndarray, reach: tuple[int, ...]) -> float:
+def largest_bond_step(psi: np.ndarray, volume: np.ndarray, bond_sum: NonlocalSum) -> float:
     """Return a bound of |psi_j - psi_i| over the liquid's bonds, from neighbouring cells.
 
     The largest difference of neighbours along each axis times the reach, summed over the axes;
     a path along the axes inside the liquid is assumed.
     """
     bound = 0.0
-    for axis, r in enumerate(reach):
+    psi, volume = (bond_sum.with_neighbours(v) for v in (psi, volume))
+    for axis, r in enumerate(bond_sum.reach):
         if r:
             here, there = [slice(None)] * 3, [slice(None)] * 3
             here[axis], there[axis] = slice(0, -1), slice(1, None)
             both = (volume[tuple(here)] > 0) & (volume[tuple(there)] > 0)
             step = np.abs(psi[tuple(there)] - psi[tuple(here)])[both]
-            bound += r * float(step.max(initial=0.0))
+            bound += r * bond_sum.processes.largest(float(step.max(initial=0.0)))
     return bound

@@ -9,6 +9,7 @@ import numpy as np
 
 from peri.engine.influence import Stencil
 from peri.engine.operators import NonlocalSum
+from peri.engine.processes import ONE_PROCESS, OneProcess
 from peri.engine.solvers import DiffusionSystem
 
 Held = float | np.ndarray
@@ -69,10 +70,11 @@ class LiquidSpace:
     liquid : bool array of the lattice's shape
     refreshed : bool array of the same shape
     capacity : relative volume of the cells (default 1)
+    processes : who holds which block of the lattice; masks and fields are those of the block
 
     Attributes
     ----------
-    n : number of unknown nodes
+    n : number of unknown nodes, in this process
     volume : (n,) their relative volumes c_i
     cell_volume : m3 (m2, m in two and one dimensions)
     extent : m, the diagonal of the lattice
@@ -92,15 +94,18 @@ class LiquidSpace:
         liquid: np.ndarray,
         refreshed: np.ndarray,
         capacity: np.ndarray | None = None,
+        processes: OneProcess = ONE_PROCESS,
     ) -> None:
         if liquid.shape != refreshed.shape or liquid.dtype != bool or refreshed.dtype != bool:
             raise ValueError(
                 f"liquid {liquid.dtype} {liquid.shape}, refreshed {refreshed.dtype} "
                 f"{refreshed.shape}; both must be bool arrays of the lattice's shape"
             )
-        self.sum = NonlocalSum(stencil, liquid.shape, liquid)
+        self.processes = processes
+        self.sum = NonlocalSum(stencil, liquid.shape, liquid, processes=processes)
         self.cell_volume = float(np.prod(stencil.spacing))
-        self.extent = float(np.linalg.norm(np.multiply(liquid.shape, stencil.spacing)))
+        whole = processes.extent(liquid.shape)
+        self.extent = float(np.linalg.norm(np.multiply(whole, stencil.spacing)))
         cells = np.ones(liquid.shape) if capacity is None else capacity
         self.all_volume = self.sum.pad(np.where(liquid, cells, 0.0))
         self._held = self.sum.pad(liquid & refreshed) > 0
@@ -147,17 +152,59 @@ class LiquidSpace:
 
     def total(self, values: np.ndarray) -> float:
         """Return the integral of a field (n,) over the unknown nodes."""
-        return float(self.volume @ values) * self.cell_volume
+        return self.processes.total(float(self.volume @ values)) * self.cell_volume
+
+    # --- over all processes -------------------------------------------------------------------
+
+    def norm(self, values: np.ndarray) -> float:
+        """Root of the sum of squares of a field (n,)."""
+        return self.processes.norm(values)
+
+    def row_norms(self, rows: np.ndarray) -> np.ndarray:
+        """The same of every row of (R, n), (R,)."""
+        return self.processes.row_norms(rows)
+
+    def largest(self, values: np.ndarray) -> float:
+        """The largest of (..., n) values, or 0 where none is above."""
+        return self.processes.largest(float(values.max(initial=0.0)))
+
+    def largest_of_rows(self, rows: np.ndarray) -> np.ndarray:
+        """The same of every row of (R, n), (R,)."""
+        return self.processes.largest(rows.max(axis=1, initial=0.0))
+
+    def lowest(self, values: np.ndarray) -> float:
+        """The lowest of (..., n) values; infinite where there are none."""
+        return -self.processes.largest(-float(values.min(initial=np.inf)))
+
+    def any(self, flags: np.ndarray) -> bool:
+        """Whether any of (..., n) flags (or numbers) is set."""
+        return self.processes.any(bool(flags.any()))
+
+    def count(self, flags: np.ndarray) -> int:
+        """How many of (n,) flags are set."""
+        return int(self.processes.total(int(flags.sum())))
+
+    def mean(self, values: np.ndarray) -> float:
+        """The mean of (n,) values."""
+        total = self.processes.total
+        return total(float(values.sum())) / total(self.n)
+
+    # --- which nodes bonds join ---------------------------------------------------------------
+
+    def joined_to(self, reached: np.ndarray) -> np.ndarray:
+        """Return which unknown nodes chains of bonds join to those of a set, (n,) bool, and it."""
+        while self.any(~reached):
+            grown = reached | (self.neighbours(reached.astype(float)) > 0)
+            if not self.any(grown != reached):
+                break
+            reached = grown
+        return reached
 
     def cut_off(self) -> np.ndarray:
         """Return which unknown nodes no chain of bonds joins to the refreshed layer, (n,) bool."""
-        reached = self.exit > 0
-        while not reached.all():
-            grown = reached | (self.neighbours(reached.astype(float)) > 0)
-            if (grown == reached).all():
-                break
-            reached = grown
-        return ~reached
+        return ~self.joined_to(self.exit > 0)
+
+    # --- linear systems -----------------------------------------------------------------------
 
     def system(
         self, held: np.ndarray | None = None, sink: np.ndarray | None = None
@@ -203,7 +250,7 @@ class LiquidSpace:
         unknown *= system.mask
         field = self.spread(right)
         held = self.gather(system.mask) == 0
-        some = bool(held.any())
+        some = self.any(held)
         if some:
             given = np.where(held, start, 0.0)
             field = self.spread(right + self.volume * self.neighbours(given))

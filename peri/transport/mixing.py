@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from peri.engine.processes import ONE_PROCESS, OneProcess
+
 _MEMORY = 8
 """Rounds that the mixing looks back on; more no longer help, fewer take more rounds."""
 
@@ -12,9 +14,12 @@ class Mixing:
     """The last rounds of a fixed point x = f(x), mixed so that the residual is least.
 
     Walker and Ni (2011), SIAM J. Numer. Anal. 49, 1715.  Scale x so that its parts count alike.
+
+    processes : among which x is shared out; by default each has the whole of it.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, processes: OneProcess = ONE_PROCESS) -> None:
+        self._processes = processes
         self._x: list[np.ndarray] = []
         self._f: list[np.ndarray] = []
 
@@ -27,5 +32,5 @@ class Mixing:
             return found
         dx = np.diff(np.array(self._x), axis=0)
         df = np.diff(np.array(self._f), axis=0)
-        weight = np.linalg.lstsq(df.T, self._f[-1], rcond=1e-12)[0]
+        weight = self._processes.least_squares(df.T, self._f[-1])
         return found - weight @ (dx + df)

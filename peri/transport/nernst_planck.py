@@ -95,7 +95,7 @@ class QuasiSteadyLiquid:
         self.space, self.medium, self.chemistry = space, medium, chemistry
         self.options = options or TransportOptions()
         self.relative = self.options.tolerance
-        lost = int(space.cut_off().sum()) if self.needs_a_way_out else 0
+        lost = space.count(space.cut_off()) if self.needs_a_way_out else 0
         if lost:
             raise ValueError(
                 f"liquid: {lost} nodes are cut off from the refreshed medium; a quasi-steady "
@@ -174,7 +174,7 @@ class QuasiSteadyLiquid:
         lacking = (self.bulk == 0).all(axis=1) & self.composer.only_positive
         unresolved = {}
         for e in np.flatnonzero(lacking):
-            largest = np.abs(change(int(e), slice(None))).max(initial=0.0)
+            largest = self.space.largest(np.abs(change(int(e), slice(None))))
             round_ = min(self.unresolved[e], _BARELY * largest)
             unresolved[int(e)] = max(_RESOLVED * largest, round_)
 
@@ -189,14 +189,16 @@ class QuasiSteadyLiquid:
 
     def compose(self, state: LiquidState, nodes: np.ndarray | None = None) -> None:
         """Composition and net charge from the scalar fields, in place; everywhere or at nodes."""
+        together = self.space.processes.together
         if nodes is None:
-            self.composer.fill(
-                self._target_of(state), self.b, state.ln_component, state.concentration
+            wanted = self._target_of(state)
+            together(
+                lambda: self.composer.fill(wanted, self.b, state.ln_component, state.concentration)
             )
             state.net_charge = self.chemistry.charge @ state.concentration
             return
-        m = state.ln_component[:, nodes]
-        found = self.composer.solve(self.target(state, nodes), self.b, m)
+        m, target = state.ln_component[:, nodes], self.target(state, nodes)
+        found = together(lambda: self.composer.solve(target, self.b, m))
         state.ln_component[:, nodes] = m
         state.concentration[:, nodes] = found
 
@@ -248,7 +250,7 @@ class QuasiSteadyLiquid:
         scale = self._driven(source)
         state.iterations = state.sweeps = 0
         if scale == 0.0:
-            scale = float(np.linalg.norm(space.volume)) * 1e-12
+            scale = space.norm(space.volume) * 1e-12
         self._check_current()
         absolute = options.tolerance * scale
         before = state.release
@@ -267,11 +269,9 @@ class QuasiSteadyLiquid:
 
     def _driven(self, source: np.ndarray) -> float:
         """What drives the liquid, against which residuals count: norm per cell, mol/m3/s."""
-        volume = self.space.volume
-        rows = np.atleast_2d(np.asarray(self.beside, float)) * volume
-        return max(
-            float(np.linalg.norm(volume * source)), float(np.linalg.norm(rows, axis=1).max())
-        )
+        space = self.space
+        rows = np.atleast_2d(np.asarray(self.beside, float)) * space.volume
+        return max(space.norm(space.volume * source), float(space.row_norms(rows).max()))
 
     def _begin(
         self,
@@ -286,7 +286,7 @@ class QuasiSteadyLiquid:
         Pi is linear in the three, so a start that has a composition keeps one when all change
         alike; where they do not, minerals and migration start from zero, which always has one.
         """
-        old, new = float(np.linalg.norm(before)), float(np.linalg.norm(state.release))
+        old, new = self.space.norm(before), self.space.norm(state.release)
         ratio = new / old if old > 0 else float(new == 0.0)
         composition = state.ln_component.copy()
         state.extents *= ratio
@@ -331,7 +331,7 @@ class QuasiSteadyLiquid:
                 right = (
                     space.volume * state.net_charge * (FARADAY / (PUBLISHED_CONDUCTIVITY * thermal))
                 )
-                size = max(float(np.linalg.norm(right)), 1e-300)
+                size = max(space.norm(right), 1e-300)
                 psi, used = space.solve(self.plain, right, 0 * state.psi, 1e-10 * size)
                 state.iterations += used
                 state.psi = psi
@@ -339,14 +339,14 @@ class QuasiSteadyLiquid:
                 excess = state.net_charge - charge_scale * (space.outflow(state.psi) / space.volume)
                 update = excess / (gain * support + charge_scale * space.degree)
                 # A potential that follows round-off would only stir the ions.
-                if np.abs(excess / support).max(initial=0.0) > 0.1 * self.options.neutrality:
+                if space.largest(np.abs(excess / support)) > 0.1 * self.options.neutrality:
                     state.psi = state.psi + update
             inflow = self.inflow(state)
             residual = max(
-                float(np.linalg.norm(space.volume * inflow[e] - space.outflow(state.migrated[e])))
+                space.norm(space.volume * inflow[e] - space.outflow(state.migrated[e]))
                 for e in range(inflow.shape[0])
             )
-            excess_now = float((np.abs(state.net_charge) / (0.5 * support)).max(initial=0.0))
+            excess_now = space.largest(np.abs(state.net_charge) / (0.5 * support))
             state.sweeps = sweep
             settled = self.options.closure != "electroneutral" or (
                 excess_now <= self.options.neutrality
@@ -376,9 +376,10 @@ class QuasiSteadyLiquid:
             except CompositionError as error:
                 raise CompositionError(f"potential: {error}; {_TOO_LITTLE}") from error
         largest = float(np.abs(chemistry.charge).max()) * largest_bond_step(
-            space.spread(state.psi, state.held_psi), space.all_volume, space.sum.reach
+            space.spread(state.psi, state.held_psi), space.all_volume, space.sum
         )
-        if largest > LARGEST_SQRA_STEP and self.options.flux_form != "sg":
+        said = largest > LARGEST_SQRA_STEP and self.options.flux_form != "sg"
+        if said and space.processes.is_root:
             log.warning(
                 "the potential steps by up to %.2g RT/F along a bond, above %g: use the flux "
                 "form 'sg'", largest, LARGEST_SQRA_STEP,
@@ -412,7 +413,7 @@ class QuasiSteadyLiquid:
     def potential_bound(self, state: LiquidState) -> float:
         """Bound of |phi| left out, V: net charge over sum z^2 C, the first and largest update."""
         support = self.chemistry.charge**2 @ state.concentration
-        return self.thermal_voltage * float(np.abs(state.net_charge / support).max(initial=0.0))
+        return self.thermal_voltage * self.space.largest(np.abs(state.net_charge / support))
 
     @property
     def thermal_voltage(self) -> float:
@@ -430,7 +431,7 @@ class QuasiSteadyLiquid:
             raise ValueError("closure: 'none' needs an inert ion that takes up the charge")
         concentration = state.concentration.copy()
         concentration[self.inert] -= state.net_charge / self.chemistry.charge[self.inert]
-        if (concentration[self.inert] < 0).any():
+        if self.space.any(concentration[self.inert] < 0):
             raise ValueError(
                 f"closure: 'none' makes {self.chemistry.names[self.inert]} negative; "
                 "use 'electroneutral'"

@@ -47,8 +47,6 @@ plates 1 mm apart, 1e3)."""
 
 _STRONG = 1.0
 """RT/F along a bond above which the bonds conduct by cosh(u/2) more in the equation for psi."""
-_FARTHEST = 1e3
-"""RT/F (25 V) in the whole liquid: rounds that get there have lost their way."""
 _HELD = 1e-6
 """Of a node's bonds, what holds the level of psi then."""
 
@@ -165,12 +163,12 @@ class StoredLiquid(QuasiSteadyLiquid):
         state = start.copy()
         offset = self.target(state) - self.bulk
         right = space.volume * source
-        held = np.abs(content).max() + sum(
-            np.abs(mineral.nu).max() * amount.max(initial=0.0)
+        held = space.largest(np.abs(content)) + sum(
+            np.abs(mineral.nu).max() * space.largest(amount)
             for mineral, amount in zip(self.minerals, there, strict=True)
         )
-        floor = _ROUND_OFF * held * float(np.linalg.norm(space.volume)) / step
-        absolute = max(options.tolerance * float(np.linalg.norm(right)), floor)
+        floor = _ROUND_OFF * held * space.norm(space.volume) / step
+        absolute = max(options.tolerance * space.norm(right), floor)
         state.release, used = space.solve(self.plain, right, start.release, 0.1 * absolute)
         state.iterations += used
         # The same composition in the new split: what is not release or mineral is X.
@@ -198,24 +196,24 @@ class StoredLiquid(QuasiSteadyLiquid):
         z2 = self.chemistry.charge**2
         wanted = np.full(content.shape[0], absolute)
         for mineral, amount in zip(self.minerals, there, strict=True):
-            moved = float(np.linalg.norm(space.volume * amount)) / span
+            moved = space.norm(space.volume * amount) / span
             wanted = np.maximum(wanted, 10.0 * self.relative * np.abs(mineral.nu) * moved)
         inert = self.chemistry.diffusivity[self.inert]
-        closed = not self._open_space.exit.any()
-        stiffness = float(np.linalg.norm(space.volume * space.degree))
-        mixing = Mixing()
-        size = np.abs(self.content(state)).max(axis=1) / self._slowness
+        closed = not space.any(self._open_space.exit)
+        stiffness = space.norm(space.volume * space.degree)
+        mixing = Mixing(space.processes)
+        size = space.largest_of_rows(np.abs(self.content(state))) / self._slowness
         size = np.maximum(size, 1e-6 * size.max())
         for round_ in range(_MAXIMUM_ROUNDS):
             support = z2 @ state.concentration
             # What it does to the inert ion's balance if that takes up the charge that is left.
-            charge = float(np.linalg.norm(space.outflow(inert * state.net_charge)))
+            charge = space.norm(space.outflow(inert * state.net_charge))
             psi = state.psi
             # A potential that follows round-off would only stir the ions.
             if neutral and charge > 0.1 * absolute:
                 psi = psi + self._potential_of(state, state.net_charge / support)
                 if closed:
-                    psi = psi - psi.mean()
+                    psi = psi - space.mean(psi)
             trial = copy.copy(state)
             trial.psi = psi
             inflow = self.inflow(trial)
@@ -225,18 +223,19 @@ class StoredLiquid(QuasiSteadyLiquid):
             )
             residual = np.array(
                 [
-                    float(np.linalg.norm(r - space.outflow(x)))
+                    space.norm(r - space.outflow(x))
                     for r, x in zip(right, state.migrated, strict=True)
                 ]
             )
             state.sweeps = round_ + 1
             # Sums over bonds are exact to so much of their terms.
             moved_by_psi = change + self.bulk if neutral else change
-            terms = np.maximum(np.abs(state.migrated), np.abs(moved_by_psi)).max(axis=1)
+            terms = space.largest_of_rows(np.maximum(np.abs(state.migrated), np.abs(moved_by_psi)))
             noise = _BOND_ROUND_OFF * stiffness * terms
             for mineral, active in zip(self.minerals, state.active, strict=True):
-                if mineral.in_equilibrium and active.any():
-                    scarcest = np.abs(change + self.bulk).max(axis=1)[mineral.nu != 0].min()
+                if mineral.in_equilibrium and space.any(active):
+                    held = space.largest_of_rows(np.abs(change + self.bulk))
+                    scarcest = held[mineral.nu != 0].min()
                     limit = _SATURATION * stiffness * scarcest
                     noise = np.maximum(noise, np.abs(mineral.nu) * limit)
             enough = np.maximum(wanted, noise)
@@ -247,7 +246,7 @@ class StoredLiquid(QuasiSteadyLiquid):
                     self._neutralise(state)
                 return
             new = np.empty_like(state.migrated)
-            smallest = float(space.volume.min())
+            smallest = space.lowest(space.volume)
             for e, r in enumerate(right):
                 # Where only the charge is left, it takes more than the ions' balances do.
                 tight = max((1e-3 if balanced else 0.1) * enough[e], 1e-3 * residual[e])
@@ -266,7 +265,7 @@ class StoredLiquid(QuasiSteadyLiquid):
                 self._grow_between(state, before, there, span, 0.1 * absolute)
             except CompositionError:
                 state.migrated, state.psi = new, psi
-                mixing = Mixing()
+                mixing = Mixing(space.processes)
                 self._grow_between(state, before, there, span, 0.1 * absolute)
         raise ConvergenceError(
             f"liquid: the balance of a component is still off by {residual.max():.2g} after "
@@ -281,10 +280,10 @@ class StoredLiquid(QuasiSteadyLiquid):
         A / (A + sigma) only, so that psi has to rise by (A + sigma) / A times as much.
         """
         right = self.space.outflow(excess)
-        size = float(np.linalg.norm(right))
         space, system = self._open_space, self._loose
+        size = space.norm(right)
         field = space.spread(state.psi)
-        if largest_bond_step(field, space.all_volume, space.sum.reach) <= _STRONG:
+        if largest_bond_step(field, space.all_volume, space.sum) <= _STRONG:
             found, used = space.solve(system, right, excess, 1e-3 * size)
             state.iterations += used
             return found
@@ -295,11 +294,6 @@ class StoredLiquid(QuasiSteadyLiquid):
 
         A bond conducts sqrt(kappa_i kappa_j) cosh(u/2), as `sqra` does: two convolutions.
         """
-        if not np.ptp(state.psi) < _FARTHEST:
-            raise ConvergenceError(
-                f"potential: {np.ptp(state.psi):.2g} RT/F in the liquid; a shorter step or a "
-                "smaller current will do"
-            )
         space, chemistry = self._open_space, self.chemistry
         mobile = chemistry.charge**2 * chemistry.diffusivity
         root = np.sqrt(mobile @ state.concentration), float(np.sqrt(mobile @ self.edge))
@@ -316,7 +310,7 @@ class StoredLiquid(QuasiSteadyLiquid):
         system = LinearSystem(operator, shift=held)
         charge = space.spread(space.volume * state.net_charge / self._step)
         found = np.zeros_like(charge)
-        size = float(np.linalg.norm(charge))
+        size = space.processes.norm(charge)
         state.iterations += system.solve(found, charge, 1e-3 * size)
         return space.gather(found)
 

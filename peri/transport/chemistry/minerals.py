@@ -122,12 +122,13 @@ def _taking(liquid: ReactingLiquid, state: LiquidState, there: np.ndarray | None
     """Numbers of the minerals that are there, change, or pass their nucleation index."""
     if there is None:
         return []
+    some = liquid.space.any
     return [
         i
         for i, mineral in enumerate(liquid.minerals)
-        if there[i].any()
-        or state.rates[i].any()
-        or (mineral.region & (mineral.ln_omega(state.ln_component) > mineral.ln_nucleation)).any()
+        if some(there[i])
+        or some(state.rates[i])
+        or some(mineral.region & (mineral.ln_omega(state.ln_component) > mineral.ln_nucleation))
     ]
 
 
@@ -140,7 +141,7 @@ def _balance(
     absolute: float,
     nodes: np.ndarray,
 ) -> None:
-    volume = liquid.space.volume
+    volume, norm = liquid.space.volume, liquid.space.norm
     for _ in range(_MAXIMUM_SWEEPS):
         change = 0.0
         for i in taking:
@@ -148,10 +149,8 @@ def _balance(
             state.iterations += _solve_mineral(
                 liquid, state, i, there[i] / step, there[i], 0.1 * absolute, nodes
             )
-            change = max(change, float(np.linalg.norm(volume * (state.rates[i] - before))))
-            absolute = max(
-                absolute, liquid.relative * float(np.linalg.norm(volume * state.rates[i]))
-            )
+            change = max(change, norm(volume * (state.rates[i] - before)))
+            absolute = max(absolute, liquid.relative * norm(volume * state.rates[i]))
         if change <= absolute:
             return
     raise ConvergenceError(
@@ -192,7 +191,7 @@ def _equilibrium(
     nodes: np.ndarray,
 ) -> int:
     space, mineral = liquid.space, liquid.minerals[number]
-    absolute = max(absolute, 0.1 * liquid.relative * float(np.linalg.norm(space.volume * lowest)))
+    absolute = max(absolute, 0.1 * liquid.relative * space.norm(space.volume * lowest))
     active = state.active[number]
     may = mineral.region | active
     at, place = np.flatnonzero(may), np.cumsum(may) - 1
@@ -201,15 +200,18 @@ def _equilibrium(
     iterations = 0
     for _ in range(_MAXIMUM_ROUNDS):
         new = active & np.isnan(obstacle)
-        if new.any():
+        if space.any(new):
             m = state.ln_component[:, new].copy()
-            obstacle[new] = saturate(
-                liquid.composer, base[:, place[new]], liquid.b, m,
-                mineral.nu[None, :], np.full((1, int(new.sum())), mineral.constant),
-            )[0]  # fmt: skip
+            constant = np.full((1, int(new.sum())), mineral.constant)
+            obstacle[new] = space.processes.together(
+                lambda m=m, constant=constant, new=new: saturate(
+                    liquid.composer, base[:, place[new]], liquid.b, m, mineral.nu[None, :], constant
+                )
+            )[0]
         extent = np.where(active, obstacle, state.extents[number])
-        if active.any() or lowest.any() or state.extents[number].any():
-            system = space.system(active) if active.any() else liquid.plain
+        forms = space.any(active)
+        if forms or space.any(lowest) or space.any(state.extents[number]):
+            system = space.system(active) if forms else liquid.plain
             extent, used = space.solve(system, -space.volume * lowest, extent, 0.1 * absolute)
             iterations += used
         state.extents[number] = extent
@@ -219,7 +221,7 @@ def _equilibrium(
         stays = active & (growth + lowest >= 0)
         joins = ~active & mineral.region & (ln_omega > _SATURATED)
         updated = stays | joins
-        settled = (updated == active).all()
+        settled = not space.any(updated != active)
         active = updated
         if settled:
             state.active[number] = active
@@ -252,9 +254,9 @@ def _kinetic(
 
     growth = rate(start)
     residual = space.volume * growth - space.outflow(state.extents[number])
-    norm = float(np.linalg.norm(residual))
+    norm = space.norm(residual)
     for _ in range(_MAXIMUM_ROUNDS):
-        moved = float(np.linalg.norm(space.volume * growth))
+        moved = space.norm(space.volume * growth)
         absolute = max(absolute, 0.1 * liquid.relative * moved)
         if norm <= absolute:
             state.rates[number] = growth
@@ -280,7 +282,7 @@ def _kinetic(
                 liquid.compose(state, nodes)
                 growth = rate(mineral.ln_omega(state.ln_component))
                 residual = space.volume * growth - space.outflow(state.extents[number])
-                new_norm = float(np.linalg.norm(residual))
+                new_norm = space.norm(residual)
             except ArithmeticError:
                 new_norm = np.inf
             if new_norm < (1 - 1e-4 * share) * norm or new_norm <= absolute:
@@ -312,7 +314,8 @@ def _sunk(liquid: ReactingLiquid, number: int, sink: np.ndarray) -> DiffusionSys
     """
     if number in liquid.sunk:
         before, system = liquid.sunk[number]
-        if np.linalg.norm(sink - before) <= _SAME_SINK * np.linalg.norm(sink):
+        norm = liquid.space.norm
+        if norm(sink - before) <= _SAME_SINK * norm(sink):
             return system
     system = liquid.space.system(sink=sink)
     liquid.sunk[number] = sink, system

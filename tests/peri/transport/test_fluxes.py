@@ -121,7 +121,7 @@ def test_the_largest_step_bounds_every_bond() -> None:
     psi = np.sin(np.arange(30.0))
     volume = bonds.pad(np.ones(30))
     steps = [np.abs(psi[k:] - psi[:-k]).max() for k in (1, 2, 3)]
-    assert largest_bond_step(bonds.pad(psi), volume, bonds.reach) >= max(steps)
+    assert largest_bond_step(bonds.pad(psi), volume, bonds) >= max(steps)
 
 
 def test_an_unknown_form_is_refused() -> None:

@@ -1,0 +1,148 @@
+"""Metal and ions on 1, 2 and 4 MPI ranks against one process."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from peri.engine.march.marching import March
+from peri.engine.processes import ONE_PROCESS
+from tests.peri.coupled import rank_cases
+from tests.peri.coupled.rank_cases import CASES, STOPPED, marched, problem_of
+
+ROOT = Path(__file__).resolve().parents[3]
+FAST = ("rest", "goes")
+"""Run on two ranks by default; with `slow` every case on 1, 2 and 4."""
+
+FREE = ("mixed/history/applied_charge", "dilute/history/applied_charge")
+ROUND_OFF = ("iterations", "balance", "balance_error", "element_error", "net_charge")
+"""What is not compared number by number; a free potential lets no charge through, either."""
+
+pytest.importorskip("petsc4py")
+pytestmark = pytest.mark.skipif(shutil.which("mpirun") is None, reason="mpirun is not installed")
+
+slow = pytest.mark.slow
+RUNS = [
+    *(pytest.param(name, 2, FAST, id=f"{name}-2") for name in FAST),
+    *(
+        pytest.param(name, ranks, tuple(CASES), id=f"{name}-{ranks}-all", marks=slow)
+        for ranks in (1, 2, 4)
+        for name in CASES
+    ),
+]
+STOPS = [run for run in RUNS if run.values[0] in STOPPED]
+
+
+@pytest.fixture(scope="module")
+def on_ranks(tmp_path_factory):
+    """Results of rank_cases by number of ranks and cases, each run once; and the checkpoints."""
+    found = {}
+
+    def results(ranks, names):
+        if (ranks, names) not in found:
+            path = tmp_path_factory.mktemp("ranks") / f"{ranks}.npz"
+            environment = os.environ | {"NUMBA_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
+            command = [sys.executable, rank_cases.__file__, str(path), *names]
+            done = subprocess.run(
+                ["mpirun", "--oversubscribe", "-n", str(ranks), *command],
+                env=environment, capture_output=True, text=True, timeout=1500,
+            )  # fmt: skip
+            assert done.returncode == 0, done.stderr[-3000:]
+            checkpoints = {n: Path(f"{path}.{n}") for n in STOPPED if n in names}
+            found[ranks, names] = dict(np.load(path)), checkpoints
+            assert found[ranks, names][0]["ranks"] == ranks
+        return found[ranks, names]
+
+    return results
+
+
+@pytest.fixture(scope="module")
+def alone():
+    """Results of a case in this process, each run once."""
+    found = {}
+
+    def results(name):
+        if name not in found:
+            problem = problem_of(name)
+            found[name] = rank_cases.results(name, problem, marched(name, problem))
+        return found[name]
+
+    return results
+
+
+@pytest.mark.parametrize(("name", "ranks", "names"), RUNS)
+def test_ranks_find_what_one_process_does(name, ranks, names, on_ranks, alone):
+    arrays, expected = on_ranks(ranks, names)[0], alone(name)
+    # The state is not trivial: metal is lost, and what the case is for comes to pass.
+    assert expected[f"{name}/history/volume_loss"][-1] > 1e-7
+    if name in ("brucite", "calcite", "closed"):
+        assert expected[f"{name}/history/{name.replace('closed', 'brucite')}_amount"][-1] > 0
+    if name.endswith("goes"):
+        assert expected[f"{name}/history/dissolved_nodes"].sum() > 5
+    for field in ("time", "step", "dissolved_nodes", "saturated_nodes"):
+        key = f"{name}/history/{field}"
+        np.testing.assert_array_equal(arrays[key], expected[key])
+    np.testing.assert_array_equal(arrays[f"{name}/metal"], expected[f"{name}/metal"])
+    compared = 0
+    for key, values in expected.items():
+        if key.rpartition("/")[2] in ROUND_OFF or key.endswith(FREE):
+            continue
+        assert arrays[key].shape == values.shape, key
+        np.testing.assert_array_equal(np.isnan(arrays[key]), np.isnan(values), err_msg=key)
+        finite = np.isfinite(values)
+        scale = np.abs(values[finite]).max(initial=1e-300)
+        off = np.abs(arrays[key][finite].astype(float) - values[finite]).max(initial=0.0)
+        assert off <= (2e-7 if values.dtype == np.float32 else 1e-10) * scale, key
+        compared += 1
+    assert compared > 15
+
+
+@pytest.mark.parametrize(
+    ("ranks", "names"),
+    [(2, FAST), *(pytest.param(n, tuple(CASES), marks=slow) for n in (1, 2, 4))],
+)
+def test_sums_and_errors_are_those_of_all_ranks(ranks, names, on_ranks):
+    arrays = on_ranks(ranks, names)[0]
+    whole = rank_cases.reductions(ONE_PROCESS, slice(0, None))
+    assert arrays["reductions/said"].tolist() == [whole["said"]] * ranks
+    assert arrays["reductions/first"].tolist() == [False] * (ranks - 1) + [True]
+    for name in ("added", "largest", "norm", "row_norms", "least_squares"):
+        for found in arrays[f"reductions/{name}"]:
+            np.testing.assert_allclose(found, whole[name], rtol=1e-13, err_msg=name)
+
+
+@pytest.mark.parametrize(("name", "ranks", "names"), RUNS)
+def test_balances_hold_on_ranks(name, ranks, names, on_ranks, alone):
+    arrays = on_ranks(ranks, names)[0]
+    assert arrays[f"{name}/balance"].max() < 1e-10
+    assert arrays[f"{name}/net_charge"].max() < 1e-12
+    assert arrays[f"{name}/lowest"].min() > 0
+    errors = arrays.get(f"{name}/history/element_error", np.zeros(1))
+    assert errors.max() < 1e-10
+    iterations = arrays[f"{name}/history/iterations"].sum()
+    assert 0 < iterations <= 1.15 * alone(name)[f"{name}/history/iterations"].sum()
+
+
+@pytest.mark.parametrize(("name", "ranks", "names"), STOPS)
+def test_a_checkpoint_of_ranks_is_resumed_there_and_in_one_process(
+    name, ranks, names, on_ranks, alone
+):
+    arrays, checkpoints = on_ranks(ranks, names)
+    reports = np.array([STOPPED[name]] + [0] * (ranks - 1))
+    np.testing.assert_array_equal(arrays[f"stopped/{name}"], reports)
+    for key in alone(name):
+        np.testing.assert_array_equal(arrays[f"resumed/{key}"], arrays[key], err_msg=key)
+    problem = problem_of(name)
+    done: March = marched(
+        name, problem, checkpoint=checkpoints[name], resume=True, checkpoint_every=1e9
+    )
+    expected = alone(name)[f"{name}/history/volume_loss"]
+    assert len(done.history["time"]) == len(expected)
+    np.testing.assert_allclose(done.history["volume_loss"], expected, rtol=0, atol=1e-11)
+    ph = alone(name)[f"{name}/ph"]
+    found = np.array([output["ph"] for output in done.outputs])
+    np.testing.assert_allclose(found, ph, rtol=0, atol=1e-6)  # single precision
