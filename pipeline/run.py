@@ -82,12 +82,10 @@ def resolved(options: argparse.Namespace) -> tuple[Scene, object]:
     this machine has cores for.
     """
     from pipeline.record.machine import check_counts
-    from pipeline.stages.march_on_ranks import check_ranks
 
     check_counts(options.np, options.pulls, options.oversubscribe)
     check_counts(options.ranks, None, options.oversubscribe, "--ranks")
     scene, solid = fitting_scene(options)
-    check_ranks(scene, options.ranks)
     _wanted(options, scene)
     return scene, solid
 

@@ -70,9 +70,7 @@ def tensile_error(scene: Scene, hold: HoldScene) -> TensileError | None:
     if preset is None or not (
         scene.geometry == ScrewGeometry()
         and _alike(scene.lattice, preset, horizon="horizon")
-        and _default(
-            hold.tensile, "damage", "damage_length", "final_strain", "lateral", "load", "mapping"
-        )
+        and _default(hold.tensile, "damage", "damage_length", "final_strain", "lateral", "load")
     ):
         return None
     if hold.name == "shank":

@@ -35,7 +35,6 @@ from pipeline.scene.resolve import rate_law
 from pipeline.scene.scene import CorrosionParameters, Scene
 from pipeline.stages import ions as ion_stage
 from pipeline.stages.by_nodes import by_nodes
-from pipeline.stages.doses import DOSES_FILE, doses
 from pipeline.stages.exposure import share_of_ball, share_of_cylinder, solid_exposure
 from pipeline.stages.geometry import read_surface
 
@@ -265,13 +264,15 @@ def corrode_in_folder(
     advanced: Callable[[float, str], None] | None = None,
     checkpoint_every: float = 30.0,
     march_by: Callable[..., CorrosionResult] = corrode,
+    with_ions_by: Callable[..., tuple] = ion_stage.corrode_with_ions,
 ) -> tuple[list[Path], dict[str, object]]:
     """March one alloy through all immersion times of the scene (time zero included).
 
     Writes corrosion.h5, history.csv and the ParaView series to `out` and goes on from a
     checkpoint that an interrupted march of the same scene left there.  Returns the files and the
     numbers worth keeping: V_L per immersion time (nt,), the worst balance error, sizes.  march_by:
-    what marches where no ions are followed (peri.omissions.planning.corrode_lean).
+    what marches where no ions are followed (peri.omissions.planning.corrode_lean); with_ions_by:
+    what does where they are.
     """
     solid = read_surface(geometry)
     region = liquid_domain(scene, solid.points)
@@ -298,7 +299,7 @@ def corrode_in_folder(
             "checkpoint_every": checkpoint_every,
         }
         if scene.ions is not None:
-            return ion_stage.corrode_with_ions(corrosion, scene.ions, times, stepping, **how)
+            return with_ions_by(corrosion, scene.ions, times, stepping, **how)
         return corrode_lean(corrosion, times, stepping, march_by=march_by, **how)
 
     try:
@@ -308,11 +309,7 @@ def corrode_in_folder(
         logger.warning("%s; the march starts anew", error)
         checkpoint.unlink(missing_ok=True)
         result, omissions, *with_ions = march(False)
-    (out / DOSES_FILE).unlink(missing_ok=True)
     if exposure is not None:
-        dose = doses(result.scene, result.concentration)
-        if dose is not None:
-            np.savez_compressed(out / DOSES_FILE, dose=dose)
         result = by_nodes(result, metal)
     write_corrosion(out / CORROSION_FILE, result)
     history = dict(result.history)
@@ -340,7 +337,6 @@ def corrode_in_folder(
         ],
     }
     files = [out / name for name in (CORROSION_FILE, HISTORY_FILE, SERIES_FILE)]
-    files += [out / DOSES_FILE] * (out / DOSES_FILE).exists()
     if scene.ions is not None:
         outputs, problem = with_ions
         more, numbers["ions"] = ion_stage.write(

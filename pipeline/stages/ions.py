@@ -16,7 +16,6 @@ from scipy.ndimage import distance_transform_edt
 from peri.corrosion.inhibition import Inhibited
 from peri.corrosion.kinetics import Kinetics
 from peri.corrosion.liquid_factors import LiquidFactors
-from peri.corrosion.nodes.problem import CorrosionProblem
 from peri.corrosion.run import HISTORY, CorrosionResult
 from peri.corrosion.scene import CorrosionScene
 from peri.coupled.bath import Bath, Exchanges
@@ -27,6 +26,7 @@ from peri.engine.march.marching import TimeStepping, march
 from peri.engine.march.problem import State
 from peri.engine.march.runge_kutta import RungeKutta
 from peri.engine.omission import Omission
+from peri.engine.processes import ONE_PROCESS, OneProcess
 from peri.engine.results import Field, axes_of, write_result
 from peri.omissions.ions import ion_omissions
 from peri.omissions.names import LIQUID
@@ -102,10 +102,30 @@ def bath_of(ions: IonSettings) -> Bath | None:
     return Bath(ions.bath_volume, ions.exchange_every or math.inf, ions.open_to)
 
 
-def problem_of(corrosion: CorrosionScene, ions: IonSettings) -> Degradation:
-    """Metal and liquid as one problem; raises ValueError for a feedback that the law excludes."""
-    medium = medium_of(ions)
-    law = corrosion.kinetics
+def problem_of(
+    corrosion: CorrosionScene | None, ions: IonSettings, processes: OneProcess = ONE_PROCESS
+) -> Degradation:
+    """Metal and liquid as one problem; raises ValueError for a feedback that the law excludes.
+
+    corrosion : on the root of the processes, elsewhere None
+    """
+    medium = processes.on_root(lambda: medium_of(ions))
+    scene = None
+    if _changes_the_law(ions):
+        law = processes.on_root(lambda: _law_of(corrosion.kinetics, ions, medium))
+        scene = corrosion and dataclasses.replace(corrosion, kinetics=law)
+    return Degradation(
+        scene or corrosion, medium, options_of(ions), bath=bath_of(ions), processes=processes
+    )
+
+
+def _changes_the_law(ions: IonSettings) -> bool:
+    """Whether the metal has another law than the scene's, one that reads the liquid."""
+    return ions.electrodes is not None or ions.feedback is not None
+
+
+def _law_of(law: Kinetics, ions: IonSettings, medium: Solution) -> Kinetics:
+    """The metal's law in the liquid, from the scene's."""
     if ions.electrodes is not None:
         law = ions.electrodes.law(float(medium.ph[0]), ions.temperature)
     elif ions.feedback is not None:
@@ -113,9 +133,7 @@ def problem_of(corrosion: CorrosionScene, ions: IonSettings) -> Degradation:
     if ions.feedback is not None and ions.feedback.inhibitor:
         held: dict[str, typing.Any] = ions.chemistry["inhibitor"]  # type: ignore[assignment]
         law = Inhibited(law, held["component"], held["adsorption_constant"], held["efficiency"])
-    if law is not corrosion.kinetics:
-        corrosion = dataclasses.replace(corrosion, kinetics=law)
-    return Degradation(corrosion, medium, options_of(ions), bath=bath_of(ions))
+    return law
 
 
 def with_feedback(base: Kinetics, feedback: FeedbackSettings, medium: Solution) -> LiquidFactors:
@@ -138,7 +156,7 @@ def options_of(ions: IonSettings) -> TransportOptions:
 
 
 def corrode_with_ions(
-    corrosion: CorrosionScene,
+    corrosion: CorrosionScene | None,
     ions: IonSettings,
     times: Sequence[float],
     stepping: TimeStepping,
@@ -149,21 +167,30 @@ def corrode_with_ions(
     checkpoint: Path | None = None,
     resume: bool = False,
     checkpoint_every: float = 30.0,
+    processes: OneProcess = ONE_PROCESS,
+    alone: Callable[..., tuple[CorrosionResult, list[Omission]]] = corrode_lean,
 ) -> tuple[CorrosionResult, list[Omission], list[Output], Degradation]:
     """March metal and liquid; the ions' fields at every output time.
 
     Where no mineral can form, the metal is marched as without ions and the liquid is computed at
     the output times (the metal's kinetics does not read it); else both go together.
+
+    processes : who holds which block of the lattice; all of them call this alike.  The root has
+        the scene (the others None) and gets the whole fields.
+    alone : marches the metal alone, as planning.corrode_lean does, on all processes
     """
-    problem = problem_of(corrosion, ions)
+    problem = problem_of(corrosion, ions, processes)
     omissions = ion_omissions(problem)
     if not problem.follows_minerals:
-        result, of_metal = corrode_lean(
+        result, of_metal = alone(
             corrosion, times, stepping, tolerance=tolerance, refused=refused, progress=progress,
             checkpoint=checkpoint, resume=resume, checkpoint_every=checkpoint_every,
         )  # fmt: skip
-        if any(o.name == LIQUID and o.applied for o in of_metal) or not (
-            result.history["saturated_nodes"].any()
+        if processes.on_root(
+            lambda: (
+                any(o.name == LIQUID and o.applied for o in of_metal)
+                or not result.history["saturated_nodes"].any()
+            )
         ):
             return result, [*of_metal, *omissions], _afterwards(problem, result), problem
         # Where the metal saturates its liquid, only the march knows what each bond carries.
@@ -186,32 +213,40 @@ def corrode_with_ions(
         if name not in HISTORY:
             for output, time in zip(done.outputs, done.times, strict=True):
                 output[name] = float(np.interp(time, done.history["time"], values))
-    if problem.scene.kinetics is not corrosion.kinetics:
+    if _changes_the_law(ions):
         # What the law of the scene would do by itself, to be told beside it.
-        alone, _ = corrode_lean(corrosion, times, stepping, tolerance=tolerance, refused=refused)
-        for output, loss in zip(done.outputs, alone.volume_loss, strict=True):
-            output["volume_loss_alone"] = float(loss)
+        by_itself, _ = alone(corrosion, times, stepping, tolerance=tolerance, refused=refused)
+        if processes.is_root:
+            for output, loss in zip(done.outputs, by_itself.volume_loss, strict=True):
+                output["volume_loss_alone"] = float(loss)
     return result, omissions, done.outputs, problem
 
 
 def _afterwards(problem: Degradation, result: CorrosionResult) -> list[Output]:
-    """The liquid at the output times of a march of the metal alone."""
-    outputs = []
-    for concentration, metal, loss, time in zip(
-        result.concentration, result.metal, result.volume_loss, result.times, strict=True
-    ):
-        pad = problem.discrete.sum.pad
-        fields = {"concentration": pad(concentration), "metal": pad(metal) > 0}
+    """The liquid at the output times of a march of the metal alone.
+
+    result : on the root
+    """
+    outputs, processes, pad = [], problem.processes, problem.discrete.sum.pad
+    moments = processes.on_root(lambda: list(zip(result.times, result.volume_loss, strict=True)))
+    for n, (time, loss) in enumerate(moments):
+        concentration, metal = (
+            pad(processes.scatter(getattr(result, name)[n] if processes.is_root else None))
+            for name in ("concentration", "metal")
+        )
+        fields = {"concentration": concentration, "metal": metal > 0}
         initial, _ = problem.discrete.amounts(problem.discrete.initial_concentration)
         numbers = {"volume_loss": float(loss), "dissolved": 0.0, "initial": initial}
         state = State(float(time), fields, {**numbers, "released": 0.0})
         problem.restore(state)
         output = problem.snapshot(state)
-        lost = np.interp(time, result.history["time"], result.history["metal_amount"])
-        output["hydrogen_amount"] = float(result.history["metal_amount"][0] - lost)
-        for name in (*CorrosionProblem(problem.scene).initial().fields, "volume_loss"):
-            output.pop(name, None)
+        for name in ("concentration", "metal", "volume_loss"):
+            del output[name]  # the result has them
         outputs.append(output)
+        if processes.is_root:
+            amounts = result.history["metal_amount"]
+            lost = np.interp(time, result.history["time"], amounts)
+            output["hydrogen_amount"] = float(amounts[0] - lost)
     return outputs
 
 
@@ -242,7 +277,7 @@ def write(
     """
     chemistry = problem.medium.chemistry
     names, minerals = list(chemistry.names), [m.name for m in chemistry.minerals]
-    scene = problem.scene
+    scene = result.scene
     write_ions(out / IONS_FILE, scene, result.times, outputs, names, minerals)
     write_ion_images(out, scene, result.times, outputs, names, minerals)
     numbers = ion_numbers(result, outputs, problem, ions, area)
@@ -328,7 +363,7 @@ def ion_numbers(
     for time, metal, loss, output in zip(
         result.times, result.metal, result.volume_loss, outputs, strict=True
     ):
-        scene = problem.scene
+        scene = result.scene
         liquid = scene.domain & ~metal & ~np.isnan(np.asarray(output["ph"]))
         distance = distance_transform_edt(~metal, sampling=scene.lattice.spacing)
         ph, species = np.asarray(output["ph"]), np.asarray(output["species"])

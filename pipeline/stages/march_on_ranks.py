@@ -17,7 +17,7 @@ from pathlib import Path
 from pipeline.record import children, interruption
 from pipeline.record.machine import child_environment, mpirun
 from pipeline.record.run_folder import write_json, write_text
-from pipeline.scene.scene import Scene, SceneError, scene_from_json
+from pipeline.scene.scene import Scene, scene_from_json
 
 JOB_FILE = "march-job.json"
 DONE_FILE = "march-done.json"
@@ -29,14 +29,6 @@ _REFUSED = 2
 
 class MarchError(RuntimeError):
     """A march on ranks that ended without a result; the message says where its log is."""
-
-
-def check_ranks(scene: Scene, ranks: int) -> None:
-    """Refuse what is computed in one process only; SceneError with one sentence."""
-    if ranks != 1 and scene.ions is not None:
-        raise SceneError(
-            f"--ranks is {ranks}; with --model nnpp it must be 1, one process computes it"
-        )
 
 
 def corrode_on_ranks(
@@ -111,9 +103,12 @@ def _lead(comm, content: dict) -> None:
     out = Path(content["out"])
 
     def march(scene, times: Sequence[float], stepping, **named: object):
-        shared = {name: value for name, value in named.items() if name != "progress"}
-        comm.bcast(("march", list(map(float, times)), stepping, shared))
+        comm.bcast(("march", list(map(float, times)), stepping, _shared(named)))
         return ranks.corrode(scene, times, stepping, comm=comm, **named)
+
+    def march_with_ions(scene, ions, times: Sequence[float], stepping, **named: object):
+        comm.bcast(("march with ions", ions, list(map(float, times)), stepping, _shared(named)))
+        return _with_ions(comm, scene, ions, times, stepping, alone_by=march, **named)
 
     def advanced(share: float, text: str = "") -> None:
         write_text(out / PROGRESS_FILE, f"{share:.4f} {text}")
@@ -121,13 +116,49 @@ def _lead(comm, content: dict) -> None:
     try:
         files, numbers = corrode_in_folder(
             scene_from_json(content["scene"]), content["alloy"], Path(content["geometry"]), out,
-            advanced, march_by=march,
+            advanced, march_by=march, with_ions_by=march_with_ions,
         )  # fmt: skip
         done = {"files": [str(path) for path in files], "numbers": numbers}
     except ValueError as error:
         done = {"refused": str(error)}
     write_json(out / DONE_FILE, done)
     comm.bcast(("end",))
+
+
+def _shared(named: dict[str, object]) -> dict[str, object]:
+    """The options of a march that all ranks have."""
+    return {name: value for name, value in named.items() if name != "progress"}
+
+
+def _with_ions(comm, scene, ions, times, stepping, alone_by=None, **named):
+    """ions.corrode_with_ions on all ranks; alone_by: what rank 0 marches the metal alone with."""
+    from peri.omissions.planning import corrode_lean
+    from peri.parallel.ranks import Ranks
+    from pipeline.stages.ions import corrode_with_ions
+
+    given = (scene.stencil, scene.domain) if comm.rank == 0 else (None, None)
+    ranks = Ranks(comm, *given)
+
+    def alone(scene, times, stepping, **options):
+        found = []
+
+        def lean() -> None:
+            try:
+                found.extend(corrode_lean(scene, times, stepping, march_by=alone_by, **options))
+            finally:
+                comm.bcast(("end",))
+
+        if comm.rank:
+            _follow(comm)
+        ranks.on_root(lean)  # what it raises is raised on all
+        return tuple(found) or (None, [])
+
+    try:
+        return corrode_with_ions(
+            scene, ions, times, stepping, processes=ranks, alone=alone, **named
+        )
+    finally:
+        ranks.close()
 
 
 def _follow(comm) -> None:
@@ -138,9 +169,12 @@ def _follow(comm) -> None:
         word, *given = comm.bcast(None)
         if word == "end":
             return
-        times, stepping, named = given
+        *given, named = given
         try:
-            ranks.corrode(None, times, stepping, comm=comm, **named)
+            if word == "march":
+                ranks.corrode(None, *given, comm=comm, **named)
+            else:
+                _with_ions(comm, None, *given, **named)
         except ValueError:  # raised on all ranks; rank 0 decides what becomes of it
             continue
 

@@ -7,10 +7,11 @@ import pytest
 
 from pipeline.api.life_cycle import LifeCycle
 from pipeline.cli import main
+from pipeline.scene.laws.feedback import FeedbackSettings
 from pipeline.scene.laws.ions import resolve_ions
 from pipeline.scene.resolve import resolve_scene
-from pipeline.scene.scene import SceneError
-from pipeline.stages.march_on_ranks import MarchError, check_ranks, corrode_on_ranks
+from pipeline.stages.corrosion import corrode_in_folder
+from pipeline.stages.march_on_ranks import MarchError, corrode_on_ranks
 from tests.pipeline.calibration.test_calibrate import COARSE, PIN
 
 RUN = ["--alloy", "Mg-10Gd", "--immersion", "0w", "2w", *PIN, "--spacing", "150um"]
@@ -18,11 +19,7 @@ RUN += ["--horizon", "150um", "--mesh-size", "0.8mm", "--final-strain", "0.02", 
 RUN += ["--keep", "liquid", "far_liquid"]
 
 
-def test_what_one_process_computes_is_refused_on_ranks(tmp_path, capsys):
-    check_ranks(resolve_scene(["Mg-5Gd"], ["8w"], corrosion={"classes": 2}), 2)
-    check_ranks(resolve_scene(["Mg-5Gd"], ["8w"], ions=resolve_ions()), 1)
-    with pytest.raises(SceneError, match="with --model nnpp it must be 1"):
-        check_ranks(resolve_scene(["Mg-5Gd"], ["8w"], ions=resolve_ions()), 2)
+def test_counts_of_ranks_that_cannot_be_are_refused(tmp_path, capsys):
     # a march on ranks has rate classes as one in one process
     assert [LifeCycle("Mg-5Gd", "8w", ranks=n).scene.corrosion.classes for n in (1, 2)] == [3, 3]
     out = str(tmp_path / "run")
@@ -72,3 +69,36 @@ def test_what_the_march_refuses_is_said_and_a_crash_too(folders, tmp_path):
     assert not isinstance(caught.value, MarchError)
     with pytest.raises(MarchError, match="march of Mg-10Gd on 2 ranks ended with exit status"):
         corrode_on_ranks(scene, "Mg-10Gd", tmp_path / "none", tmp_path, 2, lambda s, t: None)
+
+
+ASKED = {
+    "at the output times": {"minerals": []},
+    "in the march": {"feedback": FeedbackSettings(ph_order=0.1)},
+    "of an exchanged bath": {"bath_volume": 2e-5, "exchange_every": 5 * 86400.0},
+}
+"""Liquid that is computed when it is asked for, and that is marched."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", ASKED)
+def test_ions_on_two_ranks_are_those_of_one_process(how, folders, tmp_path):
+    scene = resolve_scene(["Mg-10Gd"], ["0w", "2w"], ions=resolve_ions(**ASKED[how]), **COARSE)
+    given = (scene, "Mg-10Gd", folders[0] / "geometry")
+    places = tmp_path / "one", tmp_path / "two"
+    for place in places:
+        place.mkdir()
+    one = corrode_in_folder(*given, places[0])[1]
+    two = corrode_on_ranks(*given, places[1], 2, lambda share, text: None)[1]
+    assert one["ions"]["followed"] == (how != "at the output times")
+    assert one["volume_loss"][-1] > 0.02 and one["steps"] == two["steps"]
+    np.testing.assert_allclose(two["volume_loss"], one["volume_loss"], rtol=1e-7)
+    rows = [numbers["ions"]["rows"][-1] for numbers in (one, two)]
+    for name in ("highest_ph", "ph_beside_metal", "hydrogen_mol", "largest_potential"):
+        assert rows[1][name] == pytest.approx(rows[0][name], rel=1e-6)  # fields in single precision
+    assert rows[1]["beside_metal"] == pytest.approx(rows[0]["beside_metal"], rel=1e-6)
+    assert rows[1]["minerals"].keys() == rows[0]["minerals"].keys()
+    assert rows[1]["balance"] < 1e-10 and rows[1]["net_charge"] < 1e-12
+    assert sorted(p.name for p in places[0].iterdir()) == sorted(
+        p.name for p in places[1].iterdir()
+    )
+    assert [o["name"] for o in one["omissions"]] == [o["name"] for o in two["omissions"]]
