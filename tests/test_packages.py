@@ -16,7 +16,10 @@ SOLVED_BY_DOLFINX = {
     "fem.newton", "fem.preparation", "fem.settings", "fem.solvers", "fem.strength", "fem.tearing",
     "fem.two_levels",
 }  # fmt: skip
-ON_RANKS = {"peri.corrosion.ranks", "peri.parallel.multigrid", "peri.parallel.ranks"}
+ON_RANKS = {
+    "peri.corrosion.ranks", "peri.coupled.galvanic_ranks", "peri.parallel.multigrid",
+    "peri.parallel.ranks",
+}  # fmt: skip
 
 IMPORT_ALL = """
 import importlib, pkgutil, sys
