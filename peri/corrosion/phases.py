@@ -25,10 +25,10 @@ class Phases:
     processes : OneProcess or its like
         Who holds which block of the lattice; `self.scene` and all arrays are those of the block.
 
-    sum, box, near : sums over bonds on the lattice, on the box around the initial metal (None
-    without metal), and on the lattice for the box's rows only.  capacity : relative volume of
-    each cell.  metal, fixed, free : bool, nodes that are metal, held at zero, and unknown liquid.
-    largest_sum : of the bonds of a node to liquid, 1/m^2.
+    sum, flow, box : sums over bonds on the lattice, on its rows' ranges with liquid, and on the box
+    around the initial metal (None without metal), within reach of liquid.  capacity : relative
+    volume of each cell.  metal, fixed, free : bool, nodes that are metal, held at zero, and unknown
+    liquid.  largest_sum : of the bonds of a node to liquid, 1/m^2.
     walls : conduction along walls, or None.  solid : uint8, which of the scene's solids (from 1) a
     node was at the start.  box_* : the same on the box; box_seen_liquid : sum of a node's interface
     bonds to liquid.
@@ -83,11 +83,6 @@ class Phases:
         self.box = NonlocalSum(
             self.scene.interface_stencil, shape, processes=self.processes, window=window
         )
-        # Like `sum`, but on the rows of the box only.
-        rows = np.zeros(self.sum.shape, bool)
-        rows[window] = True
-        rows = rows.reshape(self.sum.lattice_shape)
-        self.near = NonlocalSum(self.sum.stencil, rows.shape, rows, processes=self.processes)
 
     def take(self, values: np.ndarray) -> np.ndarray:
         """The box's part of a padded field, padded itself."""
@@ -105,6 +100,7 @@ class Phases:
         """Recompute what depends on which nodes are metal."""
         liquid = self.domain & ~self.metal
         self.free = liquid & ~self.fixed
+        self.flow = self.sum.on_rows_of(liquid)
         self.liquid_volume = np.where(liquid, self.capacity, 0.0)
         self.free_volume = np.where(self.free, self.capacity, 0.0)
         self.neighbour_liquid = self.sum(self.liquid_volume)
@@ -114,6 +110,7 @@ class Phases:
             volume = self.sum.crop(self.liquid_volume)
             self.walls.update(volume, self.scene.liquid_diffusivity * volume)
         if self.box is not None:
+            self.box = self.box.on_rows_of(self.take(liquid) > 0, around=True)
             self.box_metal = self.take(self.metal) > 0
             self.box_phase = np.where(self.box_metal, self.take(self.solid), 0).astype(np.uint8)
             self.box_metal_volume = self.take(np.where(self.metal, self.capacity, 0.0))

@@ -187,6 +187,18 @@ def convolve(
         )
 
 
+@by_size(fastmath=CONTRACT)
+def convolve_at(u: Array, nodes: Array, offsets: Array, weights: Array) -> Array:
+    """sum_b weights_b u[n + offsets_b] of some nodes n; u and nodes are flat."""
+    out = np.empty(nodes.size)
+    for i in prange(nodes.size):
+        total = 0.0
+        for b in range(offsets.size):
+            total += weights[b] * u[nodes[i] + offsets[b]]
+        out[i] = total
+    return out
+
+
 # --- Vector operations over the rows' ranges of padded fields -------------------------------
 
 

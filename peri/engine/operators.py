@@ -11,6 +11,7 @@ tensors and one-sided stencils are in peri.schemes.
 from __future__ import annotations
 
 import copy
+import functools
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -116,34 +117,48 @@ class NonlocalSum:
         """The lattice part of a padded array (a copy, of the lattice's shape)."""
         return np.array(padded[self.interior], order="C").reshape(self.lattice_shape)
 
-    def rows_of(self, nodes: np.ndarray, around: bool = False) -> tuple[np.ndarray, np.ndarray]:
-        """The range of each row that holds some nodes (padded, bool), or what is in their reach."""
-        if around and not self.processes.whole:
-            return self.low, self.high  # the nodes of the other blocks are not known here
-        low, high = _row_ranges(nodes[self.interior])
-        if not around or not (high > low).any():
-            return low, high
-        size = tuple(2 * r + 1 for r in self.reach[:2])
-        most = self.shape[2]
-        low = ndimage.minimum_filter(np.where(high > low, low, most), size, mode="nearest")
-        high = ndimage.maximum_filter(high, size, mode="nearest")
-        low, high = low - self.reach[2], high + self.reach[2]
-        there = high > self.reach[2]
-        return np.where(there, low.clip(0), 0), np.where(there, high.clip(max=most), 0)
+    def on_rows_of(self, nodes: np.ndarray, around: bool = False) -> NonlocalSum:
+        """The same sum on the range of each row that holds some nodes (padded, bool).
 
-    def with_neighbours(self, u: np.ndarray) -> np.ndarray:
-        """A padded field with the neighbouring blocks' values in its ghosts, if there are any."""
-        filled = self.processes.with_ghosts(u, self.window)
-        return filled if self.processes.whole else filled.copy()
+        around : or what is in their reach, those of other blocks included.
+        """
+        if around:
+            nodes = self.processes.with_ghosts(nodes.astype(float), self.window) > 0
+            low, high = _row_ranges(nodes)
+            size = tuple(2 * r + 1 for r in self.reach[:2])
+            low = np.where(high > low, low, nodes.shape[2])
+            low = ndimage.minimum_filter(low, size, mode="nearest")[self.interior[:2]]
+            high = ndimage.maximum_filter(high, size, mode="nearest")[self.interior[:2]]
+            # From places in padded rows to those in rows of the interior, a reach farther out.
+            there, most = high > 0, self.shape[2]
+            low = np.where(there, (low - 2 * self.reach[2]).clip(0, most), 0)
+            high = np.where(there, high.clip(max=most), 0)
+        else:
+            low, high = _row_ranges(nodes[self.interior])
+        other = copy.copy(self)
+        other.low, other.high, other._tiles = low, high, _tiles(low, high)
+        return other
 
-    def on_rows(self, u: np.ndarray, rows: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-        """The sum within ranges of rows (rows_of), 0 elsewhere; directly, whatever the method."""
-        out, (low, high) = np.zeros(self.padded_shape), rows
+    @functools.cached_property
+    def _bonds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Offsets of the bonds in a flat padded array, and their weights."""
+        offsets, weights = signed_bonds(self)
+        _, rows, columns = self.padded_shape
+        return offsets @ np.array([rows * columns, columns, 1]), weights
+
+    def around(self, nodes: np.ndarray) -> np.ndarray:
+        """Nodes and all that are in their reach, flat indices of the padded array; of this block's
+        nodes only, which lie within its interior."""
+        there = np.zeros(self.padded_shape, bool)
+        flat = there.ravel()
+        flat[nodes] = True
+        flat[(nodes[:, None] + self._bonds[0]).ravel()] = True
+        return np.flatnonzero(there)
+
+    def at(self, u: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+        """The sum at some nodes (flat indices of the padded array); directly, bond by bond."""
         u = self.processes.with_ghosts(u, self.window)
-        tiles = _tiles(low, high)
-        if len(tiles):
-            kernels.convolve(u, out, tiles, low, high, self.reach, *self._shells)
-        return out
+        return kernels.convolve_at(u.ravel(), nodes, *self._bonds)
 
     def __call__(self, u: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
         """The sum for a padded field; `out` must not be `u`."""

@@ -97,7 +97,7 @@ def migration(
     """
     if form == "sg":
         out = np.zeros_like(psi)
-        fields = (bond_sum.with_neighbours(v) for v in (volume, concentration, psi))
+        fields = (_with_neighbours(bond_sum, v) for v in (volume, concentration, psi))
         _sg_migration(out, bond_sum.octant, *fields, float(z))
         return out
     if form not in FLUX_FORMS:
@@ -115,6 +115,12 @@ def migration(
     else:
         result = SEPARABLE[form](total, concentration, psi, z, degree)
     return np.where(volume > 0, result, 0.0)
+
+
+def _with_neighbours(bond_sum: NonlocalSum, u: np.ndarray) -> np.ndarray:
+    """A padded field with the neighbouring blocks' values in its ghosts, if there are any."""
+    filled = bond_sum.processes.with_ghosts(u, bond_sum.window)
+    return filled if bond_sum.processes.whole else filled.copy()  # the next exchange writes there
 
 
 @njit(cache=True)
@@ -159,7 +165,7 @@ def largest_bond_step(psi: np.ndarray, volume: np.ndarray, bond_sum: NonlocalSum
     a path along the axes inside the liquid is assumed.
     """
     bound = 0.0
-    psi, volume = (bond_sum.with_neighbours(v) for v in (psi, volume))
+    psi, volume = (_with_neighbours(bond_sum, v) for v in (psi, volume))
     for axis, r in enumerate(bond_sum.reach):
         if r:
             here, there = [slice(None)] * 3, [slice(None)] * 3

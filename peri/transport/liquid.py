@@ -176,6 +176,10 @@ class LiquidSpace:
         """The lowest of (..., n) values; infinite where there are none."""
         return -self.processes.largest(-float(values.min(initial=np.inf)))
 
+    def range(self, values: np.ndarray) -> float:
+        """The highest of (n,) values less the lowest."""
+        return -self.lowest(-values) - self.lowest(values)
+
     def any(self, flags: np.ndarray) -> bool:
         """Whether any of (..., n) flags (or numbers) is set."""
         return self.processes.any(bool(flags.any()))

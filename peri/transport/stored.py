@@ -47,6 +47,8 @@ plates 1 mm apart, 1e3)."""
 
 _STRONG = 1.0
 """RT/F along a bond above which the bonds conduct by cosh(u/2) more in the equation for psi."""
+_FARTHEST = 1e3
+"""RT/F (25 V) in the whole liquid: rounds that get there have lost their way."""
 _HELD = 1e-6
 """Of a node's bonds, what holds the level of psi then."""
 
@@ -294,6 +296,12 @@ class StoredLiquid(QuasiSteadyLiquid):
 
         A bond conducts sqrt(kappa_i kappa_j) cosh(u/2), as `sqra` does: two convolutions.
         """
+        drop = self.space.range(state.psi)
+        if not drop < _FARTHEST:
+            raise ConvergenceError(
+                f"potential: {drop:.2g} RT/F in the liquid; a shorter step or a "
+                "smaller current will do"
+            )
         space, chemistry = self._open_space, self.chemistry
         mobile = chemistry.charge**2 * chemistry.diffusivity
         root = np.sqrt(mobile @ state.concentration), float(np.sqrt(mobile @ self.edge))

@@ -60,6 +60,7 @@ _TITLES = {
     "rate_change": "Change of rate per time step",
     "peak_drop": "Ends at this drop from the peak",
     "damage": "Growth of f",
+    "mapping": "Damage from lattice to mesh by",
     "keep": "Computed though it may be left out",
     "bending_azimuth": "Axis of bending from x",
     "damage_length": "Length over which the growth of f is averaged",

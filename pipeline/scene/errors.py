@@ -70,7 +70,9 @@ def tensile_error(scene: Scene, hold: HoldScene) -> TensileError | None:
     if preset is None or not (
         scene.geometry == ScrewGeometry()
         and _alike(scene.lattice, preset, horizon="horizon")
-        and _default(hold.tensile, "damage", "damage_length", "final_strain", "lateral", "load")
+        and _default(
+            hold.tensile, "damage", "damage_length", "final_strain", "lateral", "load", "mapping"
+        )
     ):
         return None
     if hold.name == "shank":

@@ -11,6 +11,8 @@ from pipeline.scene.units import format_length
 LATERAL = ("free", "clamped")
 DAMAGE_UPDATES = ("cell", "point", "implicit")
 """How f grows; named as in fem.settings, which is slow to import."""
+MAPPINGS = ("nodes", "exposures")
+"""How the lattice's loss comes to a point of the mesh: between the nodes, or by what it sees."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,8 @@ class TensileScene:
     whether grips leave lateral motion free; peak_drop: the test ends when the force (torque,
     moment) has fallen by this fraction below its peak, or at the final strain; 1 asks for the
     whole curve; damage, damage_length: how f grows and over which length (m) its growth is
-    averaged (fem.settings).
+    averaged (fem.settings); mapping: how f comes from the lattice to a point of the mesh, between
+    the nodes (pipeline.stages.damage_map) or by its exposure (pipeline.stages.doses).
     """
 
     element: str = "P2"
@@ -69,6 +72,7 @@ class TensileScene:
     peak_drop: float = 0.05
     damage: str = "cell"
     damage_length: float = 0.0
+    mapping: str = "nodes"
     load: str = "axial"
     bending_azimuth: float | None = None
 
@@ -91,6 +95,7 @@ class TensileScene:
         )
         check(azimuth is None or math.isfinite(azimuth), "bending azimuth", azimuth, "finite")
         one_of("damage", self.damage, DAMAGE_UPDATES)
+        one_of("mapping", self.mapping, MAPPINGS)
         check(0 < self.peak_drop <= 1, "peak drop", self.peak_drop, "in (0, 1]")
         check(
             self.damage_length == 0 or self.damage == "cell",

@@ -2,6 +2,7 @@
 
 import dataclasses
 import hashlib
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from perilife_data import OwnCorrosion
 from pipeline.scene import holding
 from pipeline.scene.classes import AUTO, with_classes
 from pipeline.scene.laws.ions import IonSettings
-from pipeline.scene.laws.rate_law import read_kinetics
+from pipeline.scene.laws.rate_law import OF_THE_SET, read_kinetics
 from pipeline.scene.resolution import Resolution, resolution
 from pipeline.scene.scene import (
     AlloyScene,
@@ -266,10 +267,25 @@ def _alloy_scene(name: str, fit: OwnCorrosion | None) -> AlloyScene:
 
 
 def rate_law(scene: Scene, alloy: str) -> object:
-    """The kinetics of an alloy; l of the volume-loss law is the parameter set's unless given."""
+    """The kinetics of an alloy; l of the volume-loss law is the parameter set's unless given.
+
+    C_sat of a law is the alloy's: ValueError for another one.
+    """
     from peri.corrosion.rate_laws import KINETICS
 
     name, numbers = read_kinetics(scene.corrosion.kinetics)
-    if name == "volume_loss":
-        numbers.setdefault("length", scene.alloy(alloy).corrosion.at_rest().volume_loss_scale)
+    constants = scene.alloy(alloy).corrosion.at_rest()
+    of_the_set = {
+        "length": constants.volume_loss_scale,
+        "saturation_concentration": constants.saturation_concentration,
+    }
+    for law, number in sorted(OF_THE_SET):
+        if law == name:
+            numbers.setdefault(number, of_the_set[number])
+    given, alloys = numbers.get("saturation_concentration"), of_the_set["saturation_concentration"]
+    if given is not None and not math.isclose(given, alloys, rel_tol=1e-6):
+        raise ValueError(
+            f"kinetics is '{scene.corrosion.kinetics}'; its saturation_concentration must be left "
+            f"out or be that of {alloy}, {alloys:g} mol/m^3"
+        )
     return KINETICS[name](**numbers)

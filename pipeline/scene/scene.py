@@ -329,6 +329,10 @@ class Scene:
         check(len(set(ways)) == len(ways), "list of ways of holding", ways, "without repetition")
         loads = sorted({hold.tensile.load for hold in self.holds})
         check(len(loads) == 1, "load", " and ".join(loads), "one for all ways of holding")
+        if not self.corrosion.classes or self.corrosion.dissolution != "proportional":
+            for mapping in {hold.tensile.mapping for hold in self.holds}:
+                only = "nodes without rate classes and the proportional law of dissolution"
+                check(mapping == "nodes", "mapping", mapping, only)
         least = self.lattice.horizon + self.lattice.spacing
         for name in ("radial_margin", "axial_margin"):
             margin = getattr(self.domain, name)

@@ -35,6 +35,7 @@ from pipeline.scene.resolve import rate_law
 from pipeline.scene.scene import CorrosionParameters, Scene
 from pipeline.stages import ions as ion_stage
 from pipeline.stages.by_nodes import by_nodes
+from pipeline.stages.doses import DOSES_FILE, doses
 from pipeline.stages.exposure import share_of_ball, share_of_cylinder, solid_exposure
 from pipeline.stages.geometry import read_surface
 
@@ -309,7 +310,11 @@ def corrode_in_folder(
         logger.warning("%s; the march starts anew", error)
         checkpoint.unlink(missing_ok=True)
         result, omissions, *with_ions = march(False)
+    (out / DOSES_FILE).unlink(missing_ok=True)
     if exposure is not None:
+        dose = doses(result.scene, result.concentration)
+        if dose is not None:
+            np.savez_compressed(out / DOSES_FILE, dose=dose)
         result = by_nodes(result, metal)
     write_corrosion(out / CORROSION_FILE, result)
     history = dict(result.history)
@@ -337,6 +342,7 @@ def corrode_in_folder(
         ],
     }
     files = [out / name for name in (CORROSION_FILE, HISTORY_FILE, SERIES_FILE)]
+    files += [out / DOSES_FILE] * (out / DOSES_FILE).exists()
     if scene.ions is not None:
         outputs, problem = with_ions
         more, numbers["ions"] = ion_stage.write(

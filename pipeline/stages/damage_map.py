@@ -61,20 +61,33 @@ def map_damage(
     step = np.broadcast_to(np.asarray(spacing, dtype=float), (3,)).copy()
     if not (np.isfinite(step).all() and (step > 0).all()):
         raise ValueError(f"spacing is {spacing}: allowed are positive lengths in m.")
-    flat = np.ascontiguousarray(points.reshape(-1, 3))
-    if not np.isfinite(flat).all():
+    if not np.isfinite(points).all():
         raise ValueError("points are not all finite: allowed are coordinates in m.")
+    result = interpolated(points, origin, step, damage, metal, method)
+    return np.minimum(result, maximum_damage)
+
+
+def interpolated(
+    points: np.ndarray,
+    origin: Sequence[float] | np.ndarray,
+    spacing: Sequence[float] | np.ndarray,
+    values: np.ndarray,
+    known: np.ndarray,
+    method: str = "restricted",
+) -> np.ndarray:
+    """Values (nx, ny, nz) of the `known` nodes at points (..., 3), as map_damage has it."""
+    flat = np.ascontiguousarray(points.reshape(-1, 3))
     result = np.empty(len(flat))
     _interpolate(
         flat,
         np.asarray(origin, dtype=float),
-        step,
-        damage,
-        np.ascontiguousarray(metal, dtype=np.bool_),
+        np.asarray(spacing, dtype=float),
+        values,
+        np.ascontiguousarray(known, dtype=np.bool_),
         method == "fitted",
         result,
     )
-    return np.minimum(result, maximum_damage).reshape(points.shape[:-1])
+    return result.reshape(points.shape[:-1])
 
 
 def lost_volume_on_lattice(
@@ -153,6 +166,19 @@ def conserving_map(
     )
     exponent = conserving_exponent(damage, weights, lost["lattice_lost_volume"])
     return scaled_damage(damage, exponent), exponent, lost
+
+
+def conserved(
+    damage: np.ndarray, weights: np.ndarray, lost_volume: float
+) -> tuple[np.ndarray, dict[str, float]]:
+    """Damage (nc, nq) scaled to have lost `lost_volume` (m^3), and the volumes as before that."""
+    exponent = conserving_exponent(damage, weights, lost_volume)
+    mesh = lost_volume_on_mesh(damage, weights)
+    return scaled_damage(damage, exponent), {
+        "lattice_lost_volume": lost_volume,
+        "mesh_lost_volume": mesh,
+        "relative_difference": mesh / lost_volume - 1.0 if lost_volume > 0.0 else 0.0,
+    }
 
 
 def scaled_damage(damage: np.ndarray, exponent: float) -> np.ndarray:

@@ -13,10 +13,13 @@ from pipeline.scene.scene import HoldScene, Scene
 from pipeline.scene.units import ImmersionTime
 from pipeline.stages.corrosion import CORROSION_FILE
 from pipeline.stages.damage_map import (
+    conserved,
     conserving_map,
     lost_volume_on_mesh,
     net_section,
 )
+from pipeline.stages.doses import DOSES_FILE, damage_by_dose, exposure_at
+from pipeline.stages.geometry import SURFACE_FILE, read_surface
 
 DAMAGE_FILE = "damage.h5"
 SCHEMA_VERSION = 1
@@ -55,6 +58,20 @@ def map_in_folder(
     whole, exponent, lost = conserving_map(
         points, weights, *lattice, concentration, metal, solid, fields["capacity"]
     )
+    if hold.tensile.mapping == "exposures":
+        if not (corrosion / DOSES_FILE).exists():
+            raise ValueError(
+                "mapping is exposures; it must be nodes where metal that saw no liquid at first "
+                "has lost more than a thousandth of what is lost"
+            )
+        kernel = (
+            scene.lattice.horizon, scene.corrosion.kernel_exponent, scene.corrosion.influence
+        )  # fmt: skip
+        surface = geometry if (geometry / SURFACE_FILE).exists() else geometry.parent
+        seen = exposure_at(points, read_surface(surface), *kernel, geometry)
+        with np.load(corrosion / DOSES_FILE) as stored:
+            by_dose = damage_by_dose(points, seen, *lattice, stored["dose"][number])
+        whole, lost = conserved(by_dose, weights, lost["lattice_lost_volume"])
     damage, volume = np.minimum(whole, maximum), float(weights.sum())
     numbers = {
         "mean_corrosion_damage": float((damage * weights).sum() / volume),
@@ -109,7 +126,8 @@ def write_damage(
 ) -> None:
     """Store f0 (nc, nq or 1), in the order of the mesh's cells, in one step.
 
-    exponent: of the map (damage_map.scaled_damage), by which the report maps to other points.
+    exponent: of the interpolated map (damage_map.scaled_damage), by which the report maps to other
+    points; at those on the surface the map by doses has nothing left from the first moment.
     """
     temporary = path.with_name(f".{path.name}.tmp")
     with h5py.File(temporary, "w") as file:

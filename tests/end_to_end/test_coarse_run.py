@@ -13,6 +13,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -192,6 +193,22 @@ def test_mass_is_conserved_and_lattice_and_mesh_lose_alike(run):
         pulled = next(r.strength_ratio for r in table if r.alloy == alloy and r.volume_loss > 0)
         # the weakest section alone, on these coarse cells: measured 0.06 and 0.04 above the test
         assert mapped["numbers"]["net_section_left"] == pytest.approx(pulled, abs=0.1)
+
+
+def test_damage_by_exposures_loses_what_the_lattice_lost(run, tmp_path):
+    from pipeline.stages.mapping import map_in_folder, read_damage
+
+    scene, folder = _scene(), run[0] / "Mg-5Gd"
+    hold = scene.holds[0]
+    exposed = replace(hold, tensile=replace(hold.tensile, mapping="exposures"))
+    paths = (run[0] / "geometry", folder / "corrosion", tmp_path)
+    _, numbers = map_in_folder(scene, "Mg-5Gd", scene.immersion[1], exposed, *paths)
+    lost = numbers["lattice_lost_volume"]
+    assert numbers["mapped_lost_volume"] == pytest.approx(lost, rel=1e-12) and lost > 0
+    by_nodes = read_damage(folder / "8w" / "shank" / "damage.h5")
+    by_exposures = read_damage(tmp_path / "damage.h5")
+    assert by_exposures.shape == by_nodes.shape and by_exposures.max() <= 2 / 3 + 1e-12
+    assert np.abs(by_exposures - by_nodes).max() > 0.02
 
 
 def test_pictures_show_the_damage_that_is_pulled(run):

@@ -16,6 +16,7 @@ long.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -102,6 +103,20 @@ def _over(amount: np.ndarray, whole: np.ndarray) -> np.ndarray:
     return np.divide(amount, whole, out=np.zeros_like(amount), where=whole > 0)
 
 
+@dataclass(frozen=True)
+class _Received:
+    """What becomes of the inflow of nodes that a stage empties, an array over them each.
+
+    opened : as FaradaicExchange.open.  kept : mol/m^3.  sent : share of the stage's inflow that is
+    passed on.  passed : that amount over the node's bonds to liquid.
+    """
+
+    opened: np.ndarray
+    kept: np.ndarray
+    sent: np.ndarray
+    passed: np.ndarray
+
+
 class FaradaicExchange(Exchange):
     """Metal-liquid exchange of one stage whose bonds carry a given flux.
 
@@ -136,38 +151,66 @@ class FaradaicExchange(Exchange):
         self._sent = self._passed = self._direct = None
         to_liquid = p.box(self.bonds)
         let_in = _over(to_liquid, p.box_seen_liquid)  # mean theta of the liquid that a node sees
+        demand = drawn * local * to_liquid
+        # Few nodes are emptied in a stage: only they and their bonds change in a round.
+        carries = p.box_metal_volume * local
+        each, need = np.broadcast_to(local, demand.shape).ravel(), demand.ravel()
+        by_liquid, held = p.box_metal & (demand > self.old_metal), self.old_metal.ravel()
+        volume, was_open = p.box_metal_volume.ravel(), self.open.ravel().copy()
+        source, flow = (p.box_metal_volume * self.open), carries.copy()
+        nodes = np.flatnonzero(was_open)
         for _ in range(_ROUNDS):
-            # Few nodes are emptied in a stage: only they and their bonds change in a round.
-            near = p.box.rows_of(self.open > 0, around=True)
-            demand = to_liquid + p.box.on_rows(p.box_metal_volume * self.open, near)
-            demand *= drawn * local
-            short = p.box_metal & (demand > self.old_metal)
-            self.on = p.box_metal.astype(float)
-            self.on[short] = self.old_metal[short] / demand[short]
-            if not p.processes.any(short.any()):
-                self.gained = self.open = np.zeros_like(theta)
+            near = self._near(nodes, by_liquid)
+            wanted = need[near] + drawn * each[near] * p.box.at(source, near)
+            empties = wanted > held[near]
+            before, nodes = nodes, near[empties]
+            if not p.processes.any(nodes.size > 0):
                 break
-            inflow = p.box.on_rows(p.box_metal_volume * self.on * local, p.box.rows_of(short))
-            before = self.open
-            self.open = self._pass_on(short, 1.0 - self.on[short], drawn * inflow[short], let_in)
-            change = float(np.abs(self.open - before).max())
-            if p.processes.largest(change) <= _TOLERANCE:
+            on = held[nodes] / wanted[empties]
+            flow.ravel()[nodes] *= on
+            inflow = drawn * p.box.at(flow, nodes)
+            flow.ravel()[nodes] = carries.ravel()[nodes]
+            parts = self._pass_on(nodes, 1.0 - on, inflow, let_in.ravel()[nodes])
+            change = np.abs(parts.opened - was_open[nodes]).max(initial=0.0)
+            was_open[nodes] = 0.0
+            change = max(change, was_open[before].max(initial=0.0))
+            was_open[before] = source.ravel()[before] = 0.0
+            was_open[nodes] = parts.opened
+            source.ravel()[nodes] = volume[nodes] * parts.opened
+            if p.processes.largest(float(change)) <= _TOLERANCE:
                 break
-        self.demand, self.weight = demand, self.on * local
-        self.emptied = short
+        need[near] = wanted
+        self.demand, self.on = demand, p.box_metal.astype(float)
+        self.emptied = np.zeros(demand.shape, bool)
+        self.gained, self.open = np.zeros((2, *demand.shape))
+        if p.processes.any(nodes.size > 0):
+            self._sent, self._passed = np.zeros((2, *demand.shape))
+            self.on.ravel()[nodes], self.emptied.ravel()[nodes] = on, True
+            self.open.ravel()[nodes], self.gained.ravel()[nodes] = parts.opened, parts.kept
+            self._sent.ravel()[nodes], self._passed.ravel()[nodes] = parts.sent, parts.passed
+        self.weight = self.on * local
+
+    def _near(self, opened: np.ndarray, by_liquid: np.ndarray) -> np.ndarray:
+        """Metal nodes that may be emptied: by what the liquid takes, or beside opened ones."""
+        p = self.p
+        if not p.processes.whole:  # the opened nodes of the other blocks are not known here
+            return np.flatnonzero(p.box_metal)
+        near = by_liquid.copy()
+        near.ravel()[p.box.around(opened)] = True
+        return np.flatnonzero(near & p.box_metal)
 
     def _pass_on(
         self, nodes: np.ndarray, share: np.ndarray, inflow: np.ndarray, let_in: np.ndarray
-    ) -> np.ndarray:
+    ) -> _Received:
         """Of nodes that are liquid for a share of the stage: keep some of it, pass on the rest.
 
-        share, inflow : of these nodes (bool), of the stage, and what each would receive in the
-        whole of it, mol/m^3.  let_in : share of what it passes on that the liquid takes, on the
-        box.  Returns `open`.
+        nodes : flat indices.  share, inflow, let_in : of each of them: of the stage, what it would
+        receive in the whole of that, mol/m^3, and the share of what it passes on that the liquid
+        takes.
         """
         p, scene = self.p, self.p.scene
         gain = share * inflow
-        beside, renewals = self._beside[nodes], share * self._renewals[nodes]
+        beside, renewals = self._beside.ravel()[nodes], share * self._renewals.ravel()[nodes]
         kept = np.minimum(gain, (gain + renewals * beside) / (1.0 + renewals))
         if scene.pores:
             kept = np.zeros_like(gain)  # its pores are full already
@@ -177,11 +220,8 @@ class FaradaicExchange(Exchange):
             kept = np.minimum(kept, most)
             passed = np.minimum(passed, renewals * np.maximum(most - beside, 0.0))
         sent = _over(passed, gain) * share
-        opened = np.where(inflow > 0, _over(kept, inflow) + sent * let_in[nodes], share)
-        self.gained, self._sent, self._passed, out = np.zeros((4, *nodes.shape))
-        self.gained[nodes], self._sent[nodes], out[nodes] = kept, sent, opened
-        self._passed[nodes] = _over(passed, p.box_seen_liquid[nodes])
-        return out
+        opened = np.where(inflow > 0, _over(kept, inflow) + sent * let_in, share)
+        return _Received(opened, kept, sent, _over(passed, p.box_seen_liquid.ravel()[nodes]))
 
     def metal_concentration(self, liquid: np.ndarray) -> np.ndarray:
         """C_i = old_i - tau k sum w c theta, at least 0; the liquid plays no part."""

@@ -114,7 +114,7 @@ class Balance:
         p = self.phases
         if not p.is_open:
             return 0.0
-        gain = p.sum(p.liquid_volume * liquid)
+        gain = p.flow(p.liquid_volume * liquid)
         rate = p.scene.liquid_diffusivity * float((gain * p.capacity)[p.fixed].sum())
         if p.walls is not None:
             rate += float(p.walls.flow(liquid)[p.fixed].sum())

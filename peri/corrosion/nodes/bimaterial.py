@@ -123,7 +123,7 @@ class BiMaterial(InterfaceRates):
         """
         scene = self.scene
         liquid = np.where(self.metal, 0.0, old)
-        gain = self.sum(self.liquid_volume * liquid)
+        gain = self.flow(self.liquid_volume * liquid)
         transport = scene.liquid_diffusivity * (gain - self.neighbour_liquid * liquid)
         if self.walls is not None:
             share = np.where(self.free_volume > 0, self.free_volume, np.inf)

@@ -218,10 +218,10 @@ class StageSolver:
         d, tau = self.d, right.tau
         held = active is not None and d.processes.any(active.any())
         system = self._linear_system(right, exchange, active)
-        r = d.sum(d.liquid_volume * y)
+        r = d.flow(d.liquid_volume * y)
         squares = kernels.stage_residual(
             y, right.old, r, system.weight, system.diagonal, d.scene.liquid_diffusivity, tau,
-            d.sum.low, d.sum.high, d.sum.reach,
+            *d.flow.rows,
         )  # fmt: skip
         scale = math.sqrt(d.processes.total(float(squares.sum()))) / tau
         if d.walls is not None:
@@ -290,7 +290,7 @@ class StageSolver:
             if active is not None:
                 weight[p.window][active[p.box.interior]] = 0.0
             diagonal = 1.0 / tau + d * p.neighbour_liquid
-            sink = weight * (diagonal - d * p.sum(weight))
+            sink = weight * (diagonal - d * p.flow(weight))
             if p.walls is not None:
                 on = (weight > 0).astype(float)
                 sink = sink + on * (p.walls.diagonal - p.walls.gain(on, np.zeros_like(on)))
@@ -303,7 +303,7 @@ class StageSolver:
                 extra_diagonal = (weight > 0) * p.put(pores.volume) / tau
                 sink = sink + extra_diagonal
             self._system = DiffusionSystem(
-                p.sum, weight, diagonal, d, sink, extra_diagonal=extra_diagonal, walls=p.walls
+                p.flow, weight, diagonal, d, sink, extra_diagonal=extra_diagonal, walls=p.walls
             )
             self._system_key = key
         system = self._system
@@ -399,7 +399,7 @@ class _Held:
         """Inflow that each active node needs to stay at C_sat, and what theta = 1 would bring."""
         d, diffusivity = self.d, self.d.scene.liquid_diffusivity
         available = self.exchange.offered(metal, d.scene.saturation_concentration)
-        gain, here = d.take(d.near(d.liquid_volume * y)), d.take(y)
+        gain, here = d.take(d.flow(d.liquid_volume * y)), d.take(y)
         spread = diffusivity * (gain - d.box_neighbour_liquid * here)
         needed = (here - d.take(self.right.old)) / self.right.tau - spread
         needed = d.box_free_volume * needed

@@ -24,7 +24,7 @@ from pipeline.scene.laws.ions import (
 )
 from pipeline.scene.laws.rate_law import kinetics_in_words
 from pipeline.scene.loads import LOADS
-from pipeline.scene.mechanics import DAMAGE_UPDATES, ELEMENTS, LATERAL
+from pipeline.scene.mechanics import DAMAGE_UPDATES, ELEMENTS, LATERAL, MAPPINGS
 from pipeline.scene.resolution import RESOLUTIONS
 from pipeline.scene.scene import (
     BOUNDARIES,
@@ -219,6 +219,11 @@ def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -
         help=f"how f grows: {', '.join(DAMAGE_UPDATES)} (one f per cell; implicit: as published)",
     )
     tensile.add_argument(
+        "--mapping",
+        metavar="M",
+        help=f"lattice to mesh: {', '.join(MAPPINGS)} (nodes; exposures: a cell's skin goes first)",
+    )
+    tensile.add_argument(
         "--damage-length", metavar="LENGTH", help="over which the growth of f is averaged (0mm)"
     )
 
@@ -262,6 +267,7 @@ def scene_from_options(options: argparse.Namespace) -> Scene:
         increment="increment",
         peak_drop="peak_drop",
         damage="damage",
+        mapping="mapping",
         load="load",
     )
     if options.bending_azimuth is not None:
@@ -299,7 +305,8 @@ def scene_from_options(options: argparse.Namespace) -> Scene:
     if options.kinetics is not None:
         from pipeline.scene.resolve import rate_law
 
-        rate_law(scene, scene.alloys[0].name)  # refuses numbers out of range
+        for alloy in scene.alloys:
+            rate_law(scene, alloy.name)  # refuses numbers out of range, and another C_sat
     if scene.ions is not None and scene.ions.feedback is not None:
         from peri.corrosion.liquid_factors import LiquidFactors
         from pipeline.scene.resolve import rate_law

@@ -7,7 +7,11 @@ import dataclasses
 from peri.corrosion.rate_laws import KINETICS as LAWS
 from perilife_data import did_you_mean
 
-OF_THE_SET = {("volume_loss", "length")}
+OF_THE_SET = {("volume_loss", "length")} | {
+    (name, "saturation_concentration")
+    for name, law in LAWS.items()
+    if "saturation_concentration" in (f.name for f in dataclasses.fields(law))
+}
 """Numbers of laws that the alloy's parameter set gives unless a scene does."""
 
 

@@ -158,6 +158,26 @@ def test_at_least_first_order_where_a_mineral_comes_at_once_and_goes_node_by_nod
     assert (errors[-1] < [0.03, 3e-4]).all()
 
 
+@pytest.mark.slow
+def test_at_least_first_order_where_it_goes_from_a_liquid_that_stores() -> None:
+    scene, liquid, end = pin(2e-5), medium("nacl", ("brucite",)), 0.5 * WEEK
+    found = []
+    for steps in (8, 16, 32, 96):
+        stepping = TimeStepping("sdirk2", step=end / steps)
+        joined = march(Degradation(scene, liquid, BARE, storage=True), [end], stepping)
+        found.append([joined.history[n][-1] for n in ("brucite_amount", "volume_loss")])
+        assert joined.history["element_error"].max() < 1e-10  # measured 1e-11
+    values = np.array(found)
+    errors = np.abs(values[:-1] / values[-1] - 1)
+    orders = np.log2(errors[:-1] / errors[1:])
+    assert values[-1, 0] < 0.5 * joined.history["brucite_amount"].max()
+    # A step in which a node's mineral vanishes is backward Euler.  Measured 1.12 and 1.88, where
+    # first order reads 1.14 and 1.32 against so few steps; errors with 32 steps 0.6 % of the
+    # brucite that is left (1.507e-7 mol) and 1.1e-3 of V_L.
+    assert (orders[0] > 1.05).all() and (orders[1] > 1.32).all()
+    assert (errors[-1] < [0.01, 2e-3]).all()
+
+
 def test_controlled_steps_follow_the_minerals_too() -> None:
     scene, liquid = pin(2e-5), medium("nacl", ("brucite",))
     joined = march(Degradation(scene, liquid, BARE), [WEEK], TimeStepping(rate_change=0.2))

@@ -87,6 +87,37 @@ def test_only_wanted_rows_are_computed_and_the_rest_is_left_alone(name):
     np.testing.assert_array_equal(result[rows_without], 7.0)
 
 
+@pytest.mark.parametrize("name", CASES)
+def test_rows_and_nodes_of_a_sum_are_those_of_the_whole(name):
+    shape = CASES[name][0]
+    bond_sum = NonlocalSum(stencil_of(name), shape)
+    nodes = bond_sum.pad(RNG.uniform(size=shape) < 0.05) > 0
+    nodes.ravel()[np.flatnonzero(bond_sum.pad(np.ones(shape)))[-1]] = True
+    field = bond_sum.pad(RNG.normal(size=shape))
+    whole = bond_sum(field)
+    tolerance = {"rtol": 0, "atol": 1e-14 * bond_sum.stencil.total}
+    there = np.flatnonzero(nodes)
+    near = bond_sum.around(there)
+    reached = bond_sum(nodes.astype(float)) > 0
+    inside = np.zeros(nodes.shape, bool)
+    inside[bond_sum.interior] = True
+    assert set(near) >= set(there)
+    np.testing.assert_array_equal(np.flatnonzero(nodes | reached), near[inside.ravel()[near]])
+    np.testing.assert_allclose(bond_sum.at(field, there), whole.ravel()[there], **tolerance)
+    for around, wanted in ((False, nodes), (True, nodes | reached)):
+        part = bond_sum.on_rows_of(nodes, around)
+        found = part(field)
+        np.testing.assert_allclose(found[wanted], whole[wanted], **tolerance)
+        planes, rows, columns = part.reach
+        for a, b in np.ndindex(part.low.shape):
+            row = found[a + planes, b + rows, columns : columns + bond_sum.shape[2]]
+            assert not row[: part.low[a, b]].any() and not row[part.high[a, b] :].any()
+            if not around:
+                held = np.flatnonzero(nodes[a + planes, b + rows, columns:])
+                ends = (held[0], held[-1] + 1) if held.size else (0, 0)
+                assert (part.low[a, b], part.high[a, b]) == ends
+
+
 def test_nothing_wanted_computes_nothing():
     name = "3D, reach 2"
     shape = CASES[name][0]

@@ -180,6 +180,16 @@ def test_unknown_missing_and_mistyped_fields_are_named(scene):
         (lambda: TensileScene(final_strain=0.0), "final strain is 0.0"),
         (lambda: TensileScene(increment=0.5), "tensile increment is 0.5"),
         (lambda: DomainSettings(shape="cube"), "domain shape is 'cube'"),
+        (
+            lambda: TensileScene(mapping="skin"),
+            "mapping is 'skin'; it must be one of nodes, exposures",
+        ),
+        (
+            lambda: resolve_scene(
+                ["Mg-5Gd"], ["8w"], corrosion={"classes": 0}, tensile={"mapping": "exposures"}
+            ),
+            "mapping is exposures; it must be nodes without rate classes",
+        ),
     ],
 )
 def test_values_out_of_range_are_refused_with_one_sentence(make, words):

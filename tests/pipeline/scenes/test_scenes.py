@@ -80,11 +80,14 @@ def test_pencil_converges_to_the_exact_onset():
     # measured 3.9 and 1.0 % late (0.74 and 0.35 % at 5 and 2.5 um)
     assert [t / 1002.349 - 1 for t, _ in found] == pytest.approx([0.039, 0.010], abs=0.01)
     assert found[1][1] == pytest.approx(169.298e-6, rel=0.02)
-    scaled = pits.pencil_scene(10e-6 / 100, current=5.1e5, depth=2.6e-6)
-    result = corrode(scaled, [0.12], TimeStepping(step=pits.unfilled_step(scaled)))
-    time, depth = pits.onset(scaled, result.history)
-    assert time == pytest.approx(1e-4 * found[1][0], rel=1e-6)
-    assert depth == pytest.approx(1e-2 * found[1][1], rel=1e-6)
+    for current in (1e2, 1e5):
+        share = 5100.0 / current
+        scaled = pits.pencil_scene(10e-6 * share, current=current, depth=260e-6 * share)
+        step = pits.unfilled_step(scaled)
+        result = corrode(scaled, [1200.0 * share**2], TimeStepping(step=step))
+        time, depth = pits.onset(scaled, result.history)
+        assert time == pytest.approx(share**2 * found[1][0], rel=1e-6)
+        assert depth == pytest.approx(share * found[1][1], rel=1e-6)
 
 
 def test_a_folder_is_kept_resumed_or_refused(tmp_path, capsys):

@@ -1,0 +1,125 @@
+"""Damage by what each point has seen of the liquid: within a cell the skin is gone first.
+
+In clean liquid a point of the metal keeps exp(-Lambda z) of its content, Lambda its exposure
+(`peri.engine.surface.exposure`) and z one number for all metal, the integral of K D_int g.  Where
+liquid saturates, z differs from place to place, but smoothly.  A cell with rate classes has lost as
+much as they lose by one z, its dose; a point between the cells takes the dose between theirs and
+its own exposure.  So the steep profile below the surface comes from the surface, and the lattice
+gives only what varies slowly.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from peri.corrosion.scene import CorrosionScene
+from peri.engine.march.checkpoints import fingerprint
+from peri.engine.surface.exposure import exposure
+from peri.engine.surface.triangles import Surface
+from pipeline.geometry.surface import Solid
+from pipeline.stages.damage_map import interpolated
+
+Array = NDArray[np.float64]
+
+DOSES_FILE = "doses.npz"
+_UNSEEN = 1e-3
+"""Of what is lost: the most that metal without exposure at the start may have lost."""
+_ROUND_OFF = 1e-12
+"""Of the metal: such a loss is that of the means of classes."""
+_LEAST_LEFT = 1e-15
+"""Of a cell: what is left counts as this much at least."""
+_ROUNDS = 100
+_SETTLED = 1e-12
+
+
+def doses(scene: CorrosionScene, concentration: Array) -> Array | None:
+    """z of every cell at every time (nt, nx, ny, nz), the inverse of an exposure; NaN without one.
+
+    concentration: (nt, nx, ny, nz), mol/m^3, the mean of each cell's metal.  None without rate
+    classes, for a law of the bond that does not decay, and where metal that saw no liquid at the
+    start has lost more than a thousandth of all: then exposures at the start do not say where.
+    """
+    if scene.exposure is None or not scene.dissolution.reduces:
+        return None
+    metal = scene.exposure.metal
+    seeing = metal.volume * metal.exposure > 0
+    cells, row = np.unique(metal.cell[seeing], return_inverse=True)
+    order, place = np.argsort(row, kind="stable"), np.empty(row.size, int)
+    place[order] = np.arange(row.size) - np.searchsorted(row[order], row[order])
+    share = np.zeros((cells.size, int(place.max(initial=-1)) + 1))
+    rate = np.zeros_like(share)
+    share[row, place] = metal.volume[seeing]
+    rate[row, place] = metal.exposure[seeing]
+    fraction = metal.fraction.ravel()
+    share /= fraction[cells][:, None]
+    blind = np.maximum(1.0 - share.sum(axis=1), 0.0)
+    out = np.full((len(concentration), fraction.size), np.nan)
+    for n, values in enumerate(concentration):
+        left = np.clip(values.ravel() / scene.solid_concentration, 0.0, 1.0)
+        lost = fraction * (1.0 - left)
+        unseen = float(lost.sum()) - float(lost[cells].sum())
+        if unseen > _UNSEEN * float(lost.sum()) + _ROUND_OFF * float(fraction.sum()):
+            return None
+        out[n, cells] = _dose(share, rate, blind, np.maximum(left[cells], _LEAST_LEFT))
+    return out.reshape(concentration.shape)
+
+
+def _dose(share: Array, rate: Array, blind: Array, left: Array) -> Array:
+    """z >= 0 with blind + sum share exp(-rate z) = left, by rows; Newton's method on the logarithm.
+
+    That is convex and falls, so that z rises to the solution from zero; where the blind share alone
+    is more than what is left, all that sees liquid goes.
+    """
+    fastest = rate.max(axis=1)
+    most = -np.log(_LEAST_LEFT) / np.where(rate > 0, rate, np.inf).min(axis=1)
+    z = np.zeros(len(left))
+    for _ in range(_ROUNDS):
+        kept = share * np.exp(-rate * z[:, None])
+        now, slope = blind + kept.sum(axis=1), (kept * rate).sum(axis=1)
+        step = np.divide(now * np.log(now / left), slope, out=np.zeros_like(z), where=slope > 0)
+        after = np.clip(z + np.maximum(step, 0.0), 0.0, most)
+        if (np.abs(after - z) * fastest).max(initial=0.0) <= _SETTLED:
+            break
+        z = after
+    return z
+
+
+def exposure_at(
+    points: Array,
+    solid: Solid,
+    horizon: float,
+    kernel_exponent: float,
+    influence: str,
+    folder: Path | None = None,
+) -> Array:
+    """Lambda at points (..., 3) m of a mesh; infinite outside the solid, 0 beyond the horizon.
+
+    folder: where it is kept, by the hash of all it depends on.
+    """
+    surface = Surface(solid.points, solid.triangles)
+    kernel = (float(horizon), float(kernel_exponent), influence)
+    mark = fingerprint(surface.vertices, surface.facets, points, *kernel)
+    kept = None if folder is None else folder / f"seen-{mark[:16]}.npy"
+    if kept is not None and kept.exists():
+        return np.load(kept)
+    seen = exposure(points.reshape(-1, 3), surface, *kernel)
+    seen = np.where(seen < 0.0, np.inf, seen).reshape(points.shape[:-1])
+    if kept is not None:
+        temporary = kept.with_name(f".{kept.name}.{os.getpid()}.npy")
+        np.save(temporary, seen)
+        os.replace(temporary, kept)
+    return seen
+
+
+def damage_by_dose(points: Array, seen: Array, origin: Array, spacing: Array, dose: Array) -> Array:
+    """f = 1 - exp(-Lambda z) at points (..., 3) with exposures `seen` (...), not cut off.
+
+    dose: z of the cells (nx, ny, nz), NaN where there is none; interpolated as `map_damage` does.
+    """
+    at = interpolated(points, origin, spacing, np.nan_to_num(dose), np.isfinite(dose))
+    with np.errstate(invalid="ignore"):
+        return np.where((at > 0) & (seen > 0), -np.expm1(-seen * at), 0.0)

@@ -1,0 +1,132 @@
+"""Damage by exposures: exact in clean liquid on any lattice, else what each cell has lost."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from peri.corrosion.classes.volumes import class_bond_sums, constant_of
+from peri.corrosion.kinetics import ConstantRate
+from peri.corrosion.scene import CorrosionScene
+from peri.engine.lattice import Lattice
+from peri.engine.surface.rate_classes import cell_exposure
+from peri.omissions.well_stirred import well_stirred
+from pipeline.stages.doses import damage_by_dose, doses, exposure_at
+from tests.peri.bodies import ball, ball_exposure
+from tests.peri.engine.surface.test_rate_classes import share_of_ball
+
+RADIUS, HORIZON, DAY = 4e-4, 2e-4, 86400.0
+SURFACE = ball(RADIUS, 3)
+
+
+@pytest.fixture(scope="module", params=[2, 3])
+def scene(request) -> CorrosionScene:
+    spacing = HORIZON / request.param
+    count = 2 * int(np.ceil((RADIUS + HORIZON) / spacing)) + 1
+    lattice = Lattice((-0.5 * (count - 0.8) * spacing,) * 3, (spacing,) * 3, (count,) * 3)
+    share = share_of_ball(lattice, RADIUS)
+    return CorrosionScene(
+        lattice, HORIZON, share > 0, solid_concentration=66082.4, saturation_concentration=0.66,
+        liquid_diffusivity=1e-6, dissolution_flux=1.85e-6, kinetics=ConstantRate(),
+        exposure=cell_exposure(lattice, SURFACE, HORIZON, share, 3),
+    )  # fmt: skip
+
+
+def _points() -> np.ndarray:
+    rng = np.random.default_rng(1)
+    way = rng.normal(size=(500, 3))
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    return way * (RADIUS - 1e-5 - rng.uniform(0.0, 1.0, (500, 1)) * 0.9 * HORIZON)
+
+
+def test_in_clean_liquid_every_cell_has_the_same_dose_and_points_their_own_damage(scene, tmp_path):
+    end = 20 * DAY
+    z = constant_of(scene) * scene.base_interface_diffusivity() * end
+    found = doses(scene, well_stirred(scene, [0.0, end]).concentration)
+    assert found is not None
+    assert np.nanmax(np.abs(found[0] / z)) < 1e-9
+    there = np.isfinite(found[1])
+    assert there.sum() == np.unique(scene.exposure.metal.cell[class_bond_sums(scene) > 0]).size
+    # cells that have lost less than 1e-4 know their dose to fewer digits: measured 2e-6
+    assert np.abs(found[1][there] / z - 1).max() < 1e-5
+    solid = SimpleNamespace(points=SURFACE.vertices, triangles=SURFACE.facets)
+    points = _points()
+    seen = exposure_at(points[None], solid, HORIZON, 0.0, "constant", tmp_path)
+    again = exposure_at(points[None], solid, HORIZON, 0.0, "constant", tmp_path)
+    assert np.array_equal(seen, again) and len(list(tmp_path.iterdir())) == 1
+    lattice = scene.lattice
+    damage = damage_by_dose(points[None], seen, lattice.origin, lattice.spacing, found[1])[0]
+    exact = -np.expm1(-z * ball_exposure(RADIUS - np.linalg.norm(points, axis=1), RADIUS, HORIZON))
+    # facets of the ball of 1280: measured 0.011
+    assert np.abs(damage - exact).max() < 0.02 < np.ptp(exact)
+    outside = damage_by_dose(
+        2 * points[None], np.full((1, 500), np.inf), lattice.origin, lattice.spacing, found[1]
+    )
+    assert (outside == 1.0).all()
+
+
+def test_a_cell_loses_by_its_dose_what_it_has_lost(scene):
+    metal = scene.exposure.metal
+    rng = np.random.default_rng(2)
+    left = rng.uniform(0.0, 1.0, scene.lattice.shape)
+    seeing = np.bincount(metal.cell, metal.exposure, left.size).reshape(left.shape) > 0
+    left[~seeing] = 1.0
+    left.ravel()[np.flatnonzero(seeing)[:2]] = 0.0, 1.0
+    found = doses(scene, scene.solid_concentration * left[None])[0].ravel()
+    kept = metal.volume * np.exp(-metal.exposure * np.nan_to_num(found[metal.cell]))
+    kept = np.bincount(metal.cell, kept, left.size)[seeing.ravel()]
+    share = metal.fraction[seeing]
+    blind = np.bincount(metal.cell, metal.volume * (metal.exposure == 0), left.size)
+    blind = blind[seeing.ravel()] / share
+    np.testing.assert_allclose(kept / share, np.maximum(left[seeing], blind), atol=1e-9)
+
+
+def test_where_exposures_do_not_say_what_went_there_are_no_doses(scene):
+    solid = scene.solid_concentration
+    whole = np.full((1, *scene.lattice.shape), solid)
+    assert doses(replace(scene, dissolution="faradaic"), whole) is None
+    metal = scene.exposure.metal
+    deep = np.bincount(metal.cell, metal.exposure, whole[0].size).reshape(whole[0].shape) == 0
+    whole[0][deep & (metal.fraction > 0)] = 0.5 * solid
+    assert deep[metal.fraction > 0].any() and doses(scene, whole) is None
+
+
+@pytest.mark.slow
+def test_the_screw_by_exposures_is_the_same_on_two_lattices(tmp_path):
+    """Mg-5Gd after 24 weeks on 7,320 cells: what carries in layers of 0.1 mm (MEASURED.md)."""
+    from fem.quadrature import sampling_points
+    from pipeline.calibration.models import Implant
+    from pipeline.geometry.solids import tetrahedral_mesh
+    from pipeline.scene.resolve import resolve_scene
+    from pipeline.stages.by_nodes import by_nodes
+    from pipeline.stages.damage_map import conserved, conserving_map
+
+    solid, carried, seen = None, {}, None
+    for ratio in (2, 3):
+        whole = resolve_scene(["Mg-5Gd"], ["24w"], "quick", spacing=HORIZON / ratio)
+        implant = Implant(whole, solid, tmp_path)
+        solid, lattice = implant.solid, implant.lattice
+        if seen is None:
+            mesh = tetrahedral_mesh(solid, whole.mesh.size, whole.mesh.size_fine)
+            points, weights = sampling_points(mesh.points, mesh.cells)
+            seen = exposure_at(points, solid, HORIZON, 0.0, "constant")
+            edges = np.linspace(points[..., 2].min(), points[..., 2].max(), 41)
+            volume, _ = np.histogram(points[..., 2], edges, weights=weights)
+        result = well_stirred(implant.corrosion(whole, "Mg-5Gd"), [168 * DAY])
+        dose, nodes = doses(result.scene, result.concentration), by_nodes(result, implant.metal)
+        place = (lattice.origin, lattice.spacing)
+        by_node, _, lost = conserving_map(
+            points, weights, *place, nodes.concentration[0], implant.metal,
+            nodes.scene.solid_concentration, nodes.scene.capacity(),
+        )  # fmt: skip
+        by_seen = damage_by_dose(points, seen, *place, dose[0])
+        by_seen, _ = conserved(by_seen, weights, lost["lattice_lost_volume"])
+        for name, damage in (("nodes", by_node), ("exposures", by_seen)):
+            left = weights * (1.0 - 1.5 * np.minimum(damage, 2 / 3))
+            layers = np.histogram(points[..., 2], edges, weights=left)[0] / volume
+            carried[ratio, name] = layers[7:33].min(), layers[-1]
+            print(ratio, name, carried[ratio, name])
+    assert carried[3, "exposures"] == pytest.approx((0.7452, 0.1669), abs=5e-4)
+    assert carried[2, "exposures"] == pytest.approx(carried[3, "exposures"], abs=1e-3)
+    assert carried[3, "nodes"] == pytest.approx((0.7337, 0.1299), abs=5e-4)
