@@ -94,7 +94,7 @@ def prepare(given: Given) -> Prepared:
     pull = _pull(given, coupled.metals[dissolving[0]].name, solids, beside)
     gap = couples.check_gaps(given, coupled)
     renewal, lean = couples.renewal_of(given), couples.reductions_of(given)
-    sensitivities = _sensitivities(given)
+    sensitivities = sensitivities_of(given)
     given.left_over()
     march = functools.partial(_march, made, pull, renewal, lean, sensitivities)
     size = (
@@ -128,14 +128,16 @@ def _pull(given: Given, implant: str, solids: dict[str, Solid], beside) -> Pull 
     return Pull(solids[name], at, alloy, *sizes)  # type: ignore[arg-type]
 
 
-def _sensitivities(given: Given) -> dict[str, Callable[[], GalvanicScene]]:
+def sensitivities_of(given: Given) -> dict[str, Callable[[], GalvanicScene]]:
     """What else the first current is computed for, in words."""
 
     def scaled(factor: float) -> Callable[[], GalvanicScene]:
         return lambda: couples.build(given, cathodes=factor)[0]
 
-    def other(key: str, value: float) -> Callable[[], GalvanicScene]:
-        changed = {**given.values, key: replace(given.values[key], value=value)}
+    def other(**values: object) -> Callable[[], GalvanicScene]:
+        changed = dict(given.values)
+        for name, value in values.items():
+            changed[f"{table}.{name}"] = replace(changed[f"{table}.{name}"], value=value)
         return lambda: couples.build(Given(changed, given.file))[0]
 
     found = {f"cathode {factor:g} times": scaled(factor) for factor in (0.1, 10.0)}
@@ -145,9 +147,16 @@ def _sensitivities(given: Given) -> dict[str, Callable[[], GalvanicScene]]:
             continue
         hole = given.number(f"{table}.hole_radius")
         further = hole + 0.4e-3
-        found[f"hole of radius {format_length(further)}"] = other(f"{table}.hole_radius", further)
+        found[f"hole of radius {format_length(further)}"] = other(hole_radius=further)
         if f"{table}.radius" in given and hole < 2e-3 < given.number(f"{table}.radius"):
-            found["plate of radius 2 mm"] = other(f"{table}.radius", 2e-3)
+            found["plate of radius 2 mm"] = other(radius=2e-3)
+        elif f"{table}.low" in given:
+            low, high = (np.array(given.vector(f"{table}.{n}", 3)) for n in ("low", "high"))
+            half = 0.5 * np.where(high - low > (high - low).min(), 0.5**0.5, 1.0) * (high - low)
+            if half.max() > hole:
+                middle = 0.5 * (low + high)
+                less = {"low": list(middle - half), "high": list(middle + half)}
+                found["plate of half its area"] = other(**less)
     return found
 
 

@@ -14,7 +14,7 @@ STUDIES = {
     "tensile": "error of peak force and strength left against processor time, presets (20 min)",
     "nnpp": "ions: error against processor time; --published: the published features (3 min)",
     "published": "the published tensile outcome beside what pulled end faces give",
-    "galvanic": "AE44 beside steel, AA6063: renewal, spacing, horizon, slopes, mirrors (2 min)",
+    "galvanic": "AE44 beside steel, AA6063: renewal, horizon, slopes, ions, mirrors; titanium",
     "crevice": "which seeds ignite, right and as on the printed lattice (4 min)",
     "pitting": "onset of a salt layer, and a lacy cover, by spacing and step (4 min)",
     "calibration": "searches of a fit by evaluations, and surrogates by points (2 min)",

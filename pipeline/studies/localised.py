@@ -15,14 +15,17 @@ import numpy as np
 
 from peri.corrosion.run import corrode as corrode_pit
 from peri.corrosion.scene import CorrosionScene
-from peri.coupled.galvanic import ROBIN, GalvanicScene, Renewal, corrode
+from peri.coupled.galvanic import ROBIN, GalvanicScene, Renewal, corrode, potential
 from peri.coupled.galvanic_ions import Ions
 from peri.coupled.wagner import ions_bound
 from peri.engine.march.marching import TimeStepping, march
 from peri.omissions.thin_gap import ThinGapProblem
 from peri.transport.potential.conductivity import IonConductivity
-from pipeline.scenes import crevice_lattice, crevices, pits, pits_2d
+from pipeline.scenes import couples, crevice_lattice, crevices, implants, pits, pits_2d
 from pipeline.scenes.couples import CHARGE_NUMBER, CONDUCTIVITY, ae44_scene
+from pipeline.scenes.files import read_scene
+from pipeline.scenes.keys import Given
+from pipeline.scenes.registry import path_of
 from pipeline.studies.rates import table_line
 
 DAY, HOUR = 86400.0, 3600.0
@@ -35,7 +38,8 @@ BRUCITE = 0.21
 """mol/m3 of magnesium over brucite in 0.142 mol/L of NaCl (tests/peri/transport/chemistry)."""
 SALT_ONSET = 1002.349
 """s, exact moving boundary, 304 steel at 5,100 A/m2."""
-
+_SCALES = ((0.4, 0.4), (0.4, 0.2), (0.4, 0.1), (0.8, 0.2), (0.2, 0.05), (4.0, 1.0))
+"""Horizons and spacings, mm; the last is what section 5 of the source prints (4 and 1 mm)."""
 
 T = TypeVar("T")
 
@@ -85,7 +89,7 @@ def print_galvanic() -> None:
             print(table_line([f"{travel:g}", *row]), flush=True)
         print("\nSpacing, with the horizon held (0.4 mm), and horizon, with four spacings to it.")
         _head(["horizon [mm]", "spacing [mm]", *_COUPLE])
-        for horizon, spacing in ((0.4, 0.4), (0.4, 0.2), (0.4, 0.1), (0.8, 0.2), (0.2, 0.05)):
+        for horizon, spacing in _SCALES:
             scene = ae44_scene(cathode, spacing * 1e-3, horizon * 1e-3)
             row = couple_row(scene, 0.1 if spacing > 0.05 else 0.2)[0]
             print(table_line([f"{horizon:g}", f"{spacing:g}", *row]), flush=True)
@@ -99,6 +103,7 @@ def print_galvanic() -> None:
             print(table_line([name, *row]), flush=True)
         print_robin(cathode)
         print_ions(cathode)
+    print_titanium()
     steps = ", ".join(f"{depth:g} mm for {step:g} mm" for step, depth in COMSOL.items())
     print(f"\nPublished for AA6063 at the joint, by the step of a mesh: {steps}.")
 
@@ -136,6 +141,23 @@ def print_ions(cathode: str) -> None:
         kappa = found.get("highest_conductivity", np.full(1, CONDUCTIVITY))[-1]
         shown = "not followed" if most is None else f"{most:g}"
         print(table_line([shown, bound, f"{kappa:.3f}", *row]), flush=True)
+
+
+def print_titanium() -> None:
+    """What the first current of a screw in a titanium plate depends on."""
+    scene = read_scene(path_of("screw-in-titanium-plate"))
+    given = Given(dict(scene.values), scene.name)
+    print("\nFirst current of the screw in a titanium plate (100 um), whose numbers are assumed.")
+    _head(["changed", "I [uA]", "times"])
+    rows: dict[str, Callable[[], GalvanicScene]] = {"nothing": lambda: couples.build(given)[0]}
+    rows |= implants.sensitivities_of(given)
+    first = None
+    for name, made in rows.items():
+        couple = made()
+        screw = next(n for n, m in enumerate(couple.metals) if m.solid_concentration)
+        current = 1e6 * potential(couple).current(screw)
+        first = first or current
+        print(table_line([name, f"{current:.3f}", f"{current / first:.3f}"]), flush=True)
 
 
 # --- crevice --------------------------------------------------------------------------------

@@ -208,3 +208,4 @@ def test_a_screw_loses_more_in_a_titanium_plate(tmp_path):
     current = found["current of the couple at the start"]
     assert found["the same, cathode 0.1 times"] < current < found["the same, cathode 10 times"]
     assert found["the same, hole of radius 1.6 mm"] < current
+    assert 0.5 * current < found["the same, plate of half its area"] < current
