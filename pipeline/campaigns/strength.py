@@ -37,6 +37,11 @@ def clean_until(scene: Scene, alloy: str, implant: Implant, end: float) -> Omiss
         raise SceneError(
             f"strength curve of {alloy}: the liquid cannot be left out ({omission.reason}), so the "
             "strength is no function of the volume loss alone, which must be so without --surrogate"
+            + (
+                "; with one rate per node (--classes 0) it may be"
+                if scene.corrosion.classes
+                else ""
+            )
         )
     return omission
 
