@@ -133,7 +133,7 @@ def ions_bound(
     change = float(np.abs(kappa / kappa[0] - 1.0).max())
     share = float(electric.ohmic_shares(found).max())
     return change * share, (
-        f"at most {most:.3g} mol/m3 of ions change the conductivity by {100 * change:.2g} %, and "
+        f"at most {most:.3g} mol/m3 of ions change the conductivity by {100 * change:.3g} %, and "
         f"the liquid's share of the resistance is at most {share:.2g}"
     )
 

@@ -343,6 +343,12 @@ def _panels(scene: GalvanicScene, result: GalvanicResult, dissolves: int) -> lis
         there = np.isfinite(density).any(axis=1)
         along.append(Curve(f"{moment / day:.3g} d", x[there], np.nanmean(density[there], axis=1)))
     panels.append(Panel("Current along the surface", "place / mm", "i / (A/m²)", along))
+    if "conductivity" in result.fields:
+        most = [
+            Curve(f"{t / day:.3g} d", x, np.nanmax(kappa, axis=1))
+            for t, kappa in zip(result.times, result.fields["conductivity"], strict=True)
+        ]
+        panels.append(Panel("Highest conductivity of the liquid", "place / mm", "kappa / (S/m)", most))
     surface, density = (
         result.fields[name][-1] for name in ("electrode_potential", "current_density")
     )
