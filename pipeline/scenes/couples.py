@@ -348,7 +348,9 @@ def _panels(scene: GalvanicScene, result: GalvanicResult, dissolves: int) -> lis
             Curve(f"{t / day:.3g} d", x, np.nanmax(kappa, axis=1))
             for t, kappa in zip(result.times, result.fields["conductivity"], strict=True)
         ]
-        panels.append(Panel("Highest conductivity of the liquid", "place / mm", "kappa / (S/m)", most))
+        panels.append(
+            Panel("Highest conductivity of the liquid", "place / mm", "kappa / (S/m)", most)
+        )
     surface, density = (
         result.fields[name][-1] for name in ("electrode_potential", "current_density")
     )
