@@ -18,6 +18,10 @@ ROOT = Path(__file__).resolve().parents[3]
 FAST = ("rest", "goes")
 """Run on two ranks by default; with `slow` every case on 1, 2 and 4."""
 
+RESTS = {"volume_loss": 1e-14, "psi": 1e-14, "potential": 1e-15, "largest_potential": 1e-15}
+"""What is a rest of 1 or of RT/F (27 mV), to that much: measured 1e-16, 5e-16, 2e-17."""
+OF_THE_METAL = ("liquid_amount", "released_amount", "hydrogen_amount")
+"""Differences of the metal's amount, known to 1e-12 of that: measured 3e-13."""
 FREE = ("mixed/history/applied_charge", "dilute/history/applied_charge")
 ROUND_OFF = ("iterations", "balance", "balance_error", "element_error", "net_charge")
 """What is not compared number by number; a free potential lets no charge through, either."""
@@ -87,7 +91,7 @@ def test_ranks_find_what_one_process_does(name, ranks, names, on_ranks, alone):
         key = f"{name}/history/{field}"
         np.testing.assert_array_equal(arrays[key], expected[key])
     np.testing.assert_array_equal(arrays[f"{name}/metal"], expected[f"{name}/metal"])
-    compared = 0
+    compared, metal = 0, expected[f"{name}/history/metal_amount"][0]
     for key, values in expected.items():
         if key.rpartition("/")[2] in ROUND_OFF or key.endswith(FREE):
             continue
@@ -96,7 +100,10 @@ def test_ranks_find_what_one_process_does(name, ranks, names, on_ranks, alone):
         finite = np.isfinite(values)
         scale = np.abs(values[finite]).max(initial=1e-300)
         off = np.abs(arrays[key][finite].astype(float) - values[finite]).max(initial=0.0)
-        assert off <= (2e-7 if values.dtype == np.float32 else 1e-10) * scale, key
+        # Measured up to 1e-11 of the whole field.
+        share, last = 2e-7 if values.dtype == np.float32 else 1e-10, key.rpartition("/")[2]
+        rest = RESTS.get(last, 1e-12 * metal if last in OF_THE_METAL else 0.0)
+        assert off <= share * scale + rest, key
         compared += 1
     assert compared > 15
 
