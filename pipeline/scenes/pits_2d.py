@@ -171,7 +171,7 @@ def march_section(
         islands = int(damage.detached(share).sum())
     shapes = [shape_of(scene, metal) for metal in result.metal]
     summary = {
-        "depth of the pit": (shapes[-1][0], "m"),
+        "depth of the attack": (shapes[-1][0], "m"),
         "its largest width": (shapes[-1][1], "m"),
         "its width at the surface": (shapes[-1][2], "m"),
         "metal cut off by broken bonds": (float(islands), "nodes"),
