@@ -29,6 +29,8 @@ from peri.transport.nernst_planck import QuasiSteadyLiquid
 _ROUNDS = 40
 _TOLERANCE = 1e-11
 """Of the totals: below what the liquid's own balance is good for nothing is gained."""
+_ROUND_OFF = 2.0 * np.finfo(float).eps
+"""Of the largest total: a component that the medium lacks is known to no more than that."""
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,9 @@ class BathLiquid:
         """
         charge, inert = liquid.chemistry.component_charge, liquid.inert
         totals, mixing = old, Mixing()
-        scale = np.maximum(np.abs(old), 1e-6 * np.abs(old).max())
+        largest = np.abs(old).max()
+        scale = np.maximum(np.abs(old), 1e-6 * largest)
+        enough = np.maximum(_TOLERANCE * scale, _ROUND_OFF * largest)
         for _ in range(_ROUNDS):
             self.hold(liquid, totals)
             state = solve(state)
@@ -136,7 +140,7 @@ class BathLiquid:
             if inert >= 0:  # what is left of a charge goes with the ion that takes it up inside
                 left[inert] -= charge @ left / charge[inert]
             _, found = self.settle(old + tau / self.bath.volume * left, self.medium.ln_component)
-            if (np.abs(found - totals) <= _TOLERANCE * scale).all():
+            if (np.abs(found - totals) <= enough).all():
                 return state, found
             totals = mixing.next(totals / scale, found / scale) * scale
         raise ConvergenceError(

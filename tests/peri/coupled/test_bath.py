@@ -10,6 +10,7 @@ from peri.engine.march.marching import TimeStepping, march
 from peri.engine.march.runge_kutta import RungeKutta
 from peri.transport.chemistry.speciation import speciate
 from peri.transport.nernst_planck import TransportOptions
+from tests.peri.coupled.rank_cases import disc
 from tests.peri.coupled.test_degradation import medium
 from tests.peri.coupled.test_vessels import BARE, DAY, crumb
 
@@ -63,6 +64,18 @@ def test_a_bath_open_to_a_gas_keeps_its_activity() -> None:
     closed = march(problem_in("sbf", Bath(1e-6)), [2 * DAY], STEPS)
     rise = [d.history["bath_ph"][-1] - d.history["bath_ph"][0] for d in (done, closed)]
     assert 0 < rise[0] < 0.1 * rise[1]
+
+
+def test_what_the_medium_lacks_settles_at_round_off() -> None:
+    bath = Bath(1e-6, exchange=0.7 * DAY, open_to=("CO2",))  # magnesium: 0 and 2e-15 in turn
+    done = march(
+        Degradation(disc(), medium("sbf"), BARE, bath=bath),
+        [DAY],
+        Exchanges(RungeKutta(STEPS), 0.7 * DAY),
+    )
+    # equal steps up to each end; without the floor of round-off one is taken again in halves
+    assert done.history["time"] / DAY == pytest.approx([0, 0.7 / 3, 1.4 / 3, 0.7, 0.85, 1])
+    assert done.history["element_error"].max() < 1e-11  # measured 5e-13
 
 
 @pytest.mark.slow
