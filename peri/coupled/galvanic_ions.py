@@ -29,6 +29,8 @@ end (the matrix has no positive entry beside its diagonal), a few layers a round
 _TOLERANCE = 1e-11
 """Residual of a step's linear solution; the content follows from the bonds' flow, so that what is
 left open is none of the balance."""
+_REST = 1e-9
+"""Of the highest content: how far below 0 that leaves a node that holds nothing."""
 
 
 @dataclass(frozen=True)
@@ -76,11 +78,18 @@ class Ions:
 
     def dissolved(self, content: np.ndarray) -> np.ndarray:
         """C of what nodes hold, mol/m^3."""
-        return np.clip(content, 0.0, self.saturation_concentration or np.inf)
+        return np.minimum(content, self.saturation_concentration or np.inf)
 
     def conducts(self, content: np.ndarray) -> np.ndarray:
-        """kappa of what nodes hold, S/m, of the same shape."""
-        return self.conductivity.of(self.dissolved(content))
+        """kappa of what nodes hold, S/m, of the same shape.
+
+        Raises ConvergenceError for a content that is negative by more than the solver's rest.
+        """
+        dissolved = self.dissolved(content)
+        least = float(dissolved.min(initial=0.0))
+        if least < -_REST * float(dissolved.max(initial=0.0)):
+            raise ConvergenceError(f"ions: a node holds {least:g} mol/m^3; a shorter step will do")
+        return self.conductivity.of(np.abs(dissolved))
 
 
 class IonTransport:
@@ -149,7 +158,7 @@ class IonTransport:
         if given is not None:
             offered += given.reshape(offered.shape) / self.volume
         salt = (pad(content) > most) & ~fixed
-        guess = np.clip(pad(content), 0.0, most)
+        guess = np.minimum(pad(content), most)
         for _ in range(_ROUNDS):
             unknown = wet & ~fixed & ~salt
             held = np.where(salt, most if np.isfinite(most) else 0.0, 0.0)
@@ -159,7 +168,7 @@ class IonTransport:
             full = np.where(salt, after > most, dissolved > most) & ~fixed & wet
             if (full == salt).all():
                 break
-            salt, guess = full, np.clip(dissolved, 0.0, most)
+            salt, guess = full, np.minimum(dissolved, most)
         else:
             raise ConvergenceError(f"ions: where salt is does not settle in {_ROUNDS} rounds")
         left = self.volume * float(after[fixed].sum())

@@ -441,7 +441,7 @@ class GalvanicProblem(Problem):
             numbers["released"],
             (amount + held + numbers["released"] - numbers["initial"]) / whole,
             float(dissolved.max()),
-            float((content - dissolved)[wet].clip(min=0.0).sum()) * volume,
+            float((content - dissolved)[wet].sum()) * volume,
             float(ions.conducts(content[wet]).max()),
         )
 
