@@ -7,6 +7,7 @@ from scipy.ndimage import binary_erosion, distance_transform_edt
 
 from peri.corrosion.nodes.bimaterial import BiMaterial
 from peri.corrosion.scene import CorrosionScene
+from peri.transport.chemistry.composition import Composer
 from peri.transport.chemistry.speciation import Solution
 from peri.transport.liquid import LiquidSpace, LiquidState
 from peri.transport.nernst_planck import QuasiSteadyLiquid, TransportOptions
@@ -159,7 +160,11 @@ class Surroundings:
         return new
 
     def carried_over(self, state: LiquidState, older: Surroundings) -> LiquidState:
-        """A state on this space from one on an older one; new nodes get their neighbours' mean."""
+        """A state on this space from one on an older one; new nodes get their neighbours' mean.
+
+        The mean of what they hold, in equilibrium: means of its logarithms would not be neutral.
+        Raises CompositionError.
+        """
 
         def rows(values: np.ndarray) -> np.ndarray:
             return self.moved(values, older)
@@ -167,7 +172,7 @@ class Surroundings:
         def moved(values: np.ndarray) -> np.ndarray:
             return rows(values[None])[0]
 
-        return LiquidState(
+        carried = LiquidState(
             rows(state.ln_component),
             rows(state.concentration),
             moved(state.release),
@@ -178,3 +183,21 @@ class Surroundings:
             moved(state.net_charge),
             active=[moved(a.astype(float)) >= 1.0 for a in state.active],
         )
+        self.space.processes.together(lambda: self._fill_pores(carried, older))
+        return carried
+
+    def _fill_pores(self, state: LiquidState, older: Surroundings) -> None:
+        """Compose what new nodes hold, in place."""
+        liquid = self.liquid
+        pores = ~np.isin(self.space.index, older.space.index)
+        pores &= (state.concentration > 0).any(axis=0)
+        if not pores.any():
+            return
+        stoichiometry = liquid.chemistry.stoichiometry
+        b = liquid.b if liquid.b.shape[1] == 1 else liquid.b[:, pores]
+        ln_component = state.ln_component[:, pores]
+        composer = Composer(stoichiometry, np.ones(len(stoichiometry)))
+        totals = stoichiometry.T @ state.concentration[:, pores]
+        state.concentration[:, pores] = composer.solve(totals, b, ln_component)
+        state.ln_component[:, pores] = ln_component
+        state.net_charge[pores] = liquid.chemistry.charge @ state.concentration[:, pores]
