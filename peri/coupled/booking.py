@@ -18,8 +18,9 @@ def element_error(
 ) -> float:
     """Largest error of a component's balance over a whole march, relative.
 
-    given + s taken = held + minerals + left, of what there is of the component; a liquid at rest
-    holds nothing, then of what was taken up.
+    given + s taken - carried = held + minerals + left, of what there is of the component, what was
+    set free, and what an applied current carried, each positive; a liquid at rest holds nothing,
+    then of what was taken up.
 
     Parameters
     ----------
@@ -39,8 +40,9 @@ def element_error(
     for n, name in enumerate(liquid.chemistry.components):
         given = numbers.get(f"given_{name}", 0.0)
         released = float(liquid.released[n]) * numbers["taken"]
-        released -= hydroxide[n] * numbers.get("charge", 0.0)
-        error = given + released - liquid.space.total(held[n]) - numbers[f"left_{name}"]
-        scale = abs(given) + (abs(released) if stores else numbers["taken"])
+        carried = float(hydroxide[n]) * numbers.get("charge", 0.0)
+        left = liquid.space.total(held[n]) + numbers[f"left_{name}"]
+        error = given + released - carried - left
+        scale = abs(given) + (abs(released) + abs(carried) if stores else numbers["taken"])
         worst = max(worst, abs(error) / scale if scale > 0 else abs(error))
     return worst

@@ -181,12 +181,13 @@ class StoredLiquid(QuasiSteadyLiquid):
                 state.active[i][:] = False
         span = step if span is None else span
         settle(self, state, there, span, 0.1 * absolute)
-        self._iterate(state, content, step, there, span, absolute)
+        self._iterate(state, source, content, step, there, span, absolute)
         return state
 
     def _iterate(
         self,
         state: LiquidState,
+        source: np.ndarray,
         content: np.ndarray,
         step: float,
         there: np.ndarray,
@@ -197,6 +198,12 @@ class StoredLiquid(QuasiSteadyLiquid):
         space, neutral = self.space, self.options.closure == "electroneutral"
         z2 = self.chemistry.charge**2
         wanted = np.full(content.shape[0], absolute)
+        if np.any(self.beside):
+            # What anodes give and cathodes take may cancel: next to nothing is left to balance.
+            given = self.released[:, None] * source + self.beside
+            moved = space.row_norms(space.volume * given)
+            moved += space.row_norms(space.volume * content) / step
+            wanted = np.minimum(wanted, self.options.tolerance * moved)
         for mineral, amount in zip(self.minerals, there, strict=True):
             moved = space.norm(space.volume * amount) / span
             wanted = np.maximum(wanted, 10.0 * self.relative * np.abs(mineral.nu) * moved)
