@@ -22,6 +22,7 @@ from pipeline.record.stage_hashes import (
 )
 from pipeline.record.summary import SummaryRow, write_summary
 from pipeline.scene.loads import LOADS
+from pipeline.scene.mapping import fallen_back
 from pipeline.scene.scene import HoldScene, Scene
 from pipeline.scene.units import ImmersionTime
 from pipeline.stages.pulls import Crew, PullQueue, run_jobs
@@ -97,6 +98,7 @@ class StagedRun:
         self.progress = progress or Progress()
         self._solid = solid
         self._keys: dict[str, Test] = {}  # of what is pulled
+        self._by_nodes: set[str] = set()  # alloys of which that was said
         self._foreseen: tuple[dict[str, float], int] | None = None
 
     def run(self) -> list[SummaryRow]:
@@ -235,13 +237,18 @@ class StagedRun:
         self._needs("corrode", corrosion, corrosion_hash(self.scene, alloy))
         folder = self.folder.test(alloy, moment.label, hold.name)
         mesh = self.folder.geometry / self.scene.mesh_folder(hold)
-        return self._do(
+        record = self._do(
             "map",
             f"map {alloy} {moment.label} {hold.name}",
             folder,
             map_hash(self.scene, alloy, moment, hold),
             lambda: map_in_folder(self.scene, alloy, moment, hold, mesh, corrosion, folder),
         )
+        because = fallen_back(self.scene, hold.tensile, moment, record.numbers)
+        if because and alloy not in self._by_nodes:
+            self._by_nodes.add(alloy)
+            self.progress.note(f"{alloy}: damage is interpolated between the nodes: {because}")
+        return record
 
     def pull(self, tests: Iterable[Test]) -> list[StageRecord]:
         """Tensile tests of alloys after immersion times held in some ways, several at a time."""

@@ -42,6 +42,41 @@ def boundary_triangles(cells: np.ndarray) -> np.ndarray:
     return faces[first[count == 1]]
 
 
+def surface_faces(cells: np.ndarray) -> np.ndarray:
+    """Which faces of each cell (nc, 4) belong to it only; the face k lies opposite its node k."""
+    a, b, c = np.sort(cells[:, _FACES].reshape(-1, 3).astype(np.int64), axis=1).T
+    n = int(cells.max()) + 1
+    _, place, count = np.unique((a * n + b) * n + c, return_inverse=True, return_counts=True)
+    return (count[place] == 1).reshape(-1, 4)
+
+
+def refine_tetrahedra(points: np.ndarray, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Split every tetrahedron into eight at the middles of its edges.
+
+    points (n, 3) and cells (nc, 4) become (n + number of edges, 3) and (8 nc, 4), the parts of a
+    cell one after another; neighbours keep sharing their points and the volume stays the same.
+    """
+    ends = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
+    edges = np.sort(cells[:, ends].reshape(-1, 2), axis=1)
+    unique, number = np.unique(edges, axis=0, return_inverse=True)
+    middle = len(points) + number.reshape(len(cells), 6)
+    corners = np.concatenate([cells, middle], axis=1)  # 4 corners, then middles in order of `ends`
+    parts = np.array(
+        [
+            (0, 4, 5, 6),
+            (4, 1, 7, 8),
+            (5, 7, 2, 9),
+            (6, 8, 9, 3),
+            (4, 5, 6, 8),
+            (4, 7, 5, 8),
+            (9, 5, 7, 8),
+            (9, 6, 5, 8),
+        ]
+    )
+    finer = np.concatenate([points, points[unique].mean(axis=1)])
+    return finer, corners[:, parts].reshape(-1, 4)
+
+
 def scaled_shape(points: np.ndarray, cells: np.ndarray) -> np.ndarray:
     """Mean-ratio shape 12 (3 V)^(2/3) / sum of squared edge lengths (nc,): 1 regular, 0 flat."""
     edges = points[cells[:, _EDGES[:, 0]]] - points[cells[:, _EDGES[:, 1]]]

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pipeline.record.run_folder import RunFolder, StageRecord
 from pipeline.record.summary import SummaryRow, read_summary
 from pipeline.scene.loads import LOADS, LoadNames
+from pipeline.scene.mechanics import NODES
 from pipeline.scene.scene import HoldScene, Scene, scene_from_json
 
 logger = logging.getLogger(__name__)
@@ -30,8 +31,9 @@ class ImmersionResult:
     """One alloy after one immersion time, held in one way; None where a stage has not run.
 
     curve: columns of tensile.csv by name; damage: (nc, nq) corrosion damage f0 at the quadrature
-    points; tensile: content of tensile.json; map_numbers: what the map stage measured;
-    map_exponent: with which it scaled the interpolated damage (damage_map.scaled_damage).
+    points; tensile: content of tensile.json; map_numbers: what the map stage measured; mapping: the
+    map; map_exponent: with which it scaled the damage (damage_map.scaled_damage); parts: (nc, 8)
+    damage of each eighth of a cell, not cut off, where exposures gave it.
     """
 
     label: str
@@ -43,6 +45,8 @@ class ImmersionResult:
     map_numbers: dict = field(default_factory=dict)
     load: str = "axial"
     map_exponent: float = 1.0
+    mapping: str = NODES
+    parts: NDArray[np.float64] | None = None
 
     @property
     def names(self) -> LoadNames:
@@ -188,8 +192,8 @@ def _read_alloy(
     for time in scene.with_intact():
         place = folder.test(name, time.label, hold.name)
         curve = _read_columns(place / "tensile.csv")
-        damage, exponent = _read_damage(place / "damage.h5") if fields else (None, 1.0)
-        if fields and damage is None:
+        mapped = _read_damage(place / "damage.h5") if fields else {}
+        if fields and not mapped:
             missing.append(f"the damage map of {name}{held} after {time.label}")
         if column(curve, names.abscissa) is None or column(curve, names.reaction) is None:
             missing.append(f"the {names.test} of {name}{held} after {time.label}")
@@ -209,11 +213,10 @@ def _read_alloy(
                 seconds=time.seconds,
                 summary=rows[0] if rows else None,
                 curve=curve,
-                damage=damage,
                 tensile=tensile,
                 map_numbers=dict(record.numbers) if record else {},
                 load=hold.tensile.load,
-                map_exponent=exponent,
+                **mapped,
             )
         )
     corrosion = folder.read_record(folder.corrosion(name), "corrode")
@@ -254,13 +257,18 @@ def _number(text: str | None) -> float:
         return float("nan")
 
 
-def _read_damage(path: Path) -> tuple[NDArray[np.float64] | None, float]:
-    """f0, and the exponent of the map: 1, the interpolation itself, where none is noted."""
+def _read_damage(path: Path) -> dict:
+    """What an ImmersionResult has of the map; nothing where there is no map."""
     try:
         with h5py.File(path) as file:
-            return file["f0"][:].astype(float), float(file.attrs.get("exponent", 1.0))
+            return {
+                "damage": file["f0"][:].astype(float),
+                "map_exponent": float(file.attrs.get("exponent", 1.0)),
+                "mapping": str(file.attrs.get("mapping", NODES)),
+                "parts": file["parts"][:].astype(float) if "parts" in file else None,
+            }
     except (OSError, KeyError):
-        return None, 1.0
+        return {}
 
 
 def _read_json(path: Path) -> dict:

@@ -7,6 +7,8 @@ from pipeline.report.wording import duration, percent
 from pipeline.scene.errors import MEASURED, corrosion_error, tensile_error
 from pipeline.scene.holding import HOLDINGS
 from pipeline.scene.loads import LOADS
+from pipeline.scene.mapping import fallen_back
+from pipeline.scene.mechanics import EXPOSURES, NODES
 from pipeline.scene.resolution import RESOLUTIONS
 from pipeline.scene.resolve import DEFAULT_PARAMETER_SET
 from pipeline.scene.scene import (
@@ -16,8 +18,12 @@ from pipeline.scene.scene import (
     ScrewGeometry,
 )
 from pipeline.scene.units import format_length, format_seconds, parse_time
-from pipeline.stages.plan import scene_omissions
+from pipeline.stages.plan import interpolated, scene_omissions
 
+_MISSED = {
+    NODES: "what interpolation from the lattice to the mesh does to the damage",
+    EXPOSURES: "what the points of the cells miss of the damage below the surface",
+}
 ENOUGH_SPACINGS = 4
 """Lattice spacings across the thinnest wall from which on no warning is given."""
 
@@ -53,8 +59,8 @@ def checks(run: RunResults) -> list[dict[str, str]]:
             add(
                 f"{alloy.name}: lost mass, mesh against lattice",
                 percent(worst, 2),
-                f"largest difference, after {duration(item.seconds)}: what interpolation from the "
-                "lattice to the mesh does to the damage; the map then makes up for it",
+                f"largest difference, after {duration(item.seconds)}: {_MISSED[item.mapping]}; the "
+                "map then makes up for it",
                 "corrosion.h5 and the mesh: 1 - C/C_solid summed over the nodes and, before it is "
                 "cut off, over the points of the cells",
             )
@@ -233,7 +239,7 @@ def _strength_error(run: RunResults, hold: HoldScene) -> str:
     return (
         f"The strength left of {part} is off by at most {percent(known.error, 1)} of its value "
         f"because mesh and increments of the tensile test are finite, measured up to {latest} "
-        f"on the reference screw of {' and '.join(known.alloys)}{where}; "
+        f"on the reference screw of {' and '.join(known.alloys)} with {known.settings}{where}; "
         "what the error of the volume loss does to it comes on top."
     )
 
@@ -338,6 +344,18 @@ def omissions(run: RunResults) -> list[dict[str, str]]:
         for entry in scene_omissions(run.scene)
     ]
     for alloy in run.alloys:
+        reasons = (_fallen_back(run, alloy.name, hold) for hold in run.scene.holds)
+        because = next(filter(None, reasons), "")
+        if because:
+            entry = interpolated(because)
+            found.append(
+                {
+                    "alloy": alloy.name,
+                    "what": entry.what,
+                    "reason": entry.reason,
+                    "bound": entry.error,
+                }
+            )
         entries = alloy.corrosion_numbers.get("omissions", [])
         for entry in entries if isinstance(entries, list) else []:
             if isinstance(entry, dict) and entry.get("applied", True):
@@ -348,6 +366,14 @@ def omissions(run: RunResults) -> list[dict[str, str]]:
                 reason = str(entry.get("reason", ""))
                 found.append({"alloy": alloy.name, "what": name, "reason": reason, "bound": text})
     return found
+
+
+def _fallen_back(run: RunResults, alloy: str, hold: HoldScene) -> str:
+    """Why an alloy's damage came from the nodes where its scene has exposures; "" else."""
+    items = next(a.immersions for a in run.held[hold.name] if a.name == alloy)
+    times = zip(run.scene.with_intact(), items, strict=True)
+    reasons = (fallen_back(run.scene, hold.tensile, time, item.map_numbers) for time, item in times)
+    return next(filter(None, reasons), "")
 
 
 def _small(value: float) -> str:

@@ -1,8 +1,8 @@
 """Which pictures a report shows: the corroded solid per alloy and time, whole and cut open.
 
-The field is the lattice's, mapped onto a refinement of the mesh as the damage map does it
-(pipeline.stages.damage_map), with its exponent and without its upper bound; without corrosion.h5
-it is the damage map itself.
+The field is that of the damage map without its upper bound: of each eighth of a cell where
+exposures gave it; where it came from the lattice's nodes, interpolated to a refinement of the mesh
+(pipeline.stages.damage_map) with the map's exponent.  Without either it is the damage map itself.
 """
 
 import logging
@@ -14,10 +14,12 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.geometry.mesh import refine_tetrahedra
 from pipeline.record.machine import processor_cores
 from pipeline.record.run_folder import RunFolder
 from pipeline.record.run_results import AlloyResult, ImmersionResult, RunResults
-from pipeline.report.pictures import Cut, PictureRequest, refine_tetrahedra, render_pictures
+from pipeline.report.pictures import Cut, PictureRequest, render_pictures
+from pipeline.scene.mechanics import NODES
 from pipeline.stages.damage_map import map_damage, scaled_damage
 
 logger = logging.getLogger(__name__)
@@ -86,7 +88,26 @@ def make_pictures(run: RunResults) -> PictureSet:
 def damage_field(
     run: RunResults, alloy: str, item: ImmersionResult, points: NDArray[np.float64], cells: int
 ) -> NDArray[np.float64] | None:
-    """Corrosion damage at the points, or in the cells, or None where there is none to show."""
+    """Corrosion damage at the points, or in the cells, or None where there is none to show.
+
+    points, cells: the points and the number of cells of the run's mesh, or of a refinement of it.
+    """
+    if item.mapping == NODES:
+        found = _between_nodes(run, alloy, item, points)
+        if found is not None:
+            return found
+    shown = item.damage
+    if item.parts is not None:
+        shown = item.parts.reshape(-1, 1) if cells > len(item.parts) else item.parts
+    if shown is None or item.damage is None or len(item.damage) != len(run.cells):
+        return None
+    return np.repeat(shown.reshape(len(shown), -1).mean(axis=1), cells // len(shown))
+
+
+def _between_nodes(
+    run: RunResults, alloy: str, item: ImmersionResult, points: NDArray[np.float64]
+) -> NDArray[np.float64] | None:
+    """The lattice's damage at the points, with the map's exponent; None without the lattice."""
     path = RunFolder(run.folder).corrosion(alloy) / "corrosion.h5"
     solid = run.scene.alloy(alloy).corrosion.solid_concentration
     try:
@@ -105,8 +126,4 @@ def damage_field(
                 return scaled_damage(found, item.map_exponent)
     except (OSError, KeyError, ValueError) as error:
         logger.info("%s is not used for pictures: %s", path, error)
-    if item.damage is None or len(item.damage) != len(run.cells):
-        return None
-    return np.repeat(
-        item.damage.reshape(len(item.damage), -1).mean(axis=1), cells // len(item.damage)
-    )
+    return None

@@ -72,35 +72,6 @@ def damage_at_points(
     return np.divide(total, weight, out=np.zeros(len(points)), where=weight > 0.0)
 
 
-def refine_tetrahedra(
-    points: NDArray[np.float64], cells: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Split every tetrahedron into eight at the middles of its edges.
-
-    points (n, 3) and cells (nc, 4) become (n + number of edges, 3) and (8 nc, 4); neighbours keep
-    sharing their points and the volume stays the same.
-    """
-    ends = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
-    edges = np.sort(cells[:, ends].reshape(-1, 2), axis=1)
-    unique, number = np.unique(edges, axis=0, return_inverse=True)
-    middle = len(points) + number.reshape(len(cells), 6)
-    corners = np.concatenate([cells, middle], axis=1)  # 4 corners, then middles in order of `ends`
-    parts = np.array(
-        [
-            (0, 4, 5, 6),
-            (4, 1, 7, 8),
-            (5, 7, 2, 9),
-            (6, 8, 9, 3),
-            (4, 5, 6, 8),
-            (4, 7, 5, 8),
-            (9, 5, 7, 8),
-            (9, 6, 5, 8),
-        ]
-    )
-    finer = np.concatenate([points, points[unique].mean(axis=1)])
-    return finer, corners[:, parts].reshape(-1, 4)
-
-
 def screw_picture(
     points: NDArray[np.float64],
     cells: NDArray[np.int64],

@@ -16,6 +16,8 @@ from perilife_data import Quantity, Reference
 from perilife_data.references import read_references
 from pipeline.scene.laws.rate_law import read_kinetics
 from pipeline.scene.loads import LOADS
+from pipeline.scene.mapping import mapping_of
+from pipeline.scene.mechanics import AUTO, TensileScene
 from pipeline.scene.scene import AlloyScene, Scene
 
 logger = logging.getLogger(__name__)
@@ -281,6 +283,8 @@ def settings(scene: Scene) -> dict[str, list[tuple[str, str]]]:
     found = {}
     for group, choices in groups.items():
         values = {item.name: getattr(choices, item.name) for item in fields(choices)}
+        if isinstance(choices, TensileScene) and choices.mapping == AUTO:
+            values["mapping"] = f"{mapping_of(scene, choices)} (auto)"
         found[group] = [
             (title_of(name), " ".join(filter(None, shown(name, value))))
             for name, value in values.items()

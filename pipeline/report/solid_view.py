@@ -10,10 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
+from pipeline.geometry.mesh import refine_tetrahedra
 from pipeline.record.run_results import AlloyResult, ImmersionResult, RunResults
 from pipeline.report import picture_set
-from pipeline.report.pictures import DAMAGE_COLOURS, GONE, damage_at_points, refine_tetrahedra
+from pipeline.report.pictures import DAMAGE_COLOURS, GONE, damage_at_points
 from pipeline.report.wording import caption
 
 MOST_VALUES = 900_000
@@ -102,7 +104,13 @@ def _at_points(
     points: NDArray[np.float64],
     cells: NDArray[np.int64],
 ) -> NDArray[np.float64] | None:
-    """Corrosion damage (n,) at the points; None where the run does not hold it for this mesh."""
+    """Corrosion damage (n,) at the points; None where the run does not hold it for this mesh.
+
+    A mesh with fewer points than that of the run has the damage that those have there.
+    """
+    if len(points) < len(run.points):
+        known = _at_points(run, alloy, item, run.points, run.cells)
+        return None if known is None else known[cKDTree(run.points).query(points)[1]]
     damage = picture_set.damage_field(run, alloy.name, item, points, len(cells))
     if damage is None or len(damage) == len(points):
         return damage

@@ -2,7 +2,13 @@
 
 from dataclasses import dataclass
 
-from pipeline.scene.resolution import RESOLUTIONS, CorrosionError, Resolution, TensileError
+from pipeline.scene.resolution import (
+    NODE_DAMAGE,
+    RESOLUTIONS,
+    CorrosionError,
+    Resolution,
+    TensileError,
+)
 from pipeline.scene.scene import HoldScene, Scene, ScrewGeometry
 
 
@@ -26,15 +32,13 @@ def _measured(
     return MeasuredHold(0.3e-3, 0.2e-3, element, increment, error)
 
 
-_LATTICE = "damage from a lattice of 100 µm with one rate per node"
-
 MEASURED: dict[str, MeasuredHold] = {
     "slot": _measured(
-        "slot", "P2", 0.02, {"Mg-5Gd": (0.030, 0.010), "Mg-10Gd": (0.025, 0.017)}, _LATTICE
+        "slot", "P2", 0.02, {"Mg-5Gd": (0.030, 0.010), "Mg-10Gd": (0.025, 0.017)}, NODE_DAMAGE
     ),
     "faces": _measured(
         "faces", "P1", 0.005, {"Mg-5Gd": (0.04, 0.06), "Mg-10Gd": (0.15, 0.10)},
-        f"cells of 50 µm at the faces and {_LATTICE}",
+        f"cells of 50 µm at the faces and {NODE_DAMAGE}",
     ),
 }  # fmt: skip
 """Errors of ways of holding beside the shank, which the study of the presets has: each setting
@@ -70,9 +74,7 @@ def tensile_error(scene: Scene, hold: HoldScene) -> TensileError | None:
     if preset is None or not (
         scene.geometry == ScrewGeometry()
         and _alike(scene.lattice, preset, horizon="horizon")
-        and _default(
-            hold.tensile, "damage", "damage_length", "final_strain", "lateral", "load", "mapping"
-        )
+        and _default(hold.tensile, "damage", "damage_length", "final_strain", "lateral", "load")
     ):
         return None
     if hold.name == "shank":

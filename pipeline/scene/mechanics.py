@@ -11,8 +11,10 @@ from pipeline.scene.units import format_length
 LATERAL = ("free", "clamped")
 DAMAGE_UPDATES = ("cell", "point", "implicit")
 """How f grows; named as in fem.settings, which is slow to import."""
-MAPPINGS = ("nodes", "exposures")
-"""How the lattice's loss comes to a point of the mesh: between the nodes, or by what it sees."""
+AUTO, NODES, EXPOSURES = "auto", "nodes", "exposures"
+MAPPINGS = (AUTO, NODES, EXPOSURES)
+"""How the lattice's loss comes to a point of the mesh: between the nodes, or by what it sees of the
+liquid; auto: the latter where the scene can have it (pipeline.scene.mapping)."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,8 @@ class TensileScene:
     moment) has fallen by this fraction below its peak, or at the final strain; 1 asks for the
     whole curve; damage, damage_length: how f grows and over which length (m) its growth is
     averaged (fem.settings); mapping: how f comes from the lattice to a point of the mesh, between
-    the nodes (pipeline.stages.damage_map) or by its exposure (pipeline.stages.doses).
+    the nodes (pipeline.stages.damage_map), by its exposure (pipeline.stages.doses), or the latter
+    where that can be had.
     """
 
     element: str = "P2"
@@ -72,7 +75,7 @@ class TensileScene:
     peak_drop: float = 0.05
     damage: str = "cell"
     damage_length: float = 0.0
-    mapping: str = "nodes"
+    mapping: str = AUTO
     load: str = "axial"
     bending_azimuth: float | None = None
 

@@ -331,8 +331,8 @@ class Scene:
         check(len(loads) == 1, "load", " and ".join(loads), "one for all ways of holding")
         if not self.corrosion.classes or self.corrosion.dissolution != "proportional":
             for mapping in {hold.tensile.mapping for hold in self.holds}:
-                only = "nodes without rate classes and the proportional law of dissolution"
-                check(mapping == "nodes", "mapping", mapping, only)
+                only = "nodes or auto without rate classes and the proportional law of dissolution"
+                check(mapping != "exposures", "mapping", mapping, only)
         least = self.lattice.horizon + self.lattice.spacing
         for name in ("radial_margin", "axial_margin"):
             margin = getattr(self.domain, name)

@@ -39,6 +39,8 @@ KEYS: dict[str, Key] = {
 }
 """Keys of an implant's file."""
 
+OF_INTACT = "of the intact implant (damage between the nodes, which have one rate each)"
+
 
 @dataclass(frozen=True)
 class Joint:
@@ -163,8 +165,9 @@ def sensitivities_of(given: Given) -> dict[str, Callable[[], GalvanicScene]]:
 def strengths(made: Joint, pull: Pull, results: Sequence[GalvanicResult]) -> list[float]:
     """Peak force (N) of the intact implant and after each march's end, held by its ends.
 
-    Ten-node cells, to 10 % elongation.  The mesh loses the share of its metal that the lattice
-    lost, whose nodes each stand for one part of the implant's volume.
+    Ten-node cells, to 10 % elongation.  The damage is interpolated between the lattice's nodes,
+    which have one rate each; the mesh loses the share of its metal that the lattice lost, whose
+    nodes each stand for one part of the implant's volume.
     """
     from fem.constitutive import Material, fit_voce
     from fem.quadrature import sampling_points
@@ -245,7 +248,7 @@ def _march(
         summary |= {f"{p} lost, {name}": (float(v[-1]), "1") for p, v in lost[number].items()}
         if forces is not None:
             left = forces[number + 1] / forces[0]
-            summary[f"strength left, {name}"] = (left, "of the intact implant")
+            summary[f"strength left, {name}"] = (left, OF_INTACT)
     if forces is not None:
         summary["peak force of the intact implant"] = (forces[0], "N")
     summary["current of the couple at the start"] = (float(first), "A")

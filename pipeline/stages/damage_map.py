@@ -134,12 +134,7 @@ def compare_lost_volume(
     lattice = lost_volume_on_lattice(
         concentration, metal, solid_concentration, np.asarray(capacity) * step.prod()
     )
-    mesh = lost_volume_on_mesh(damage, weights)
-    return {
-        "lattice_lost_volume": lattice,
-        "mesh_lost_volume": mesh,
-        "relative_difference": mesh / lattice - 1.0 if lattice > 0.0 else 0.0,
-    }
+    return _compared(damage, weights, lattice)
 
 
 def conserving_map(
@@ -170,11 +165,16 @@ def conserving_map(
 
 def conserved(
     damage: np.ndarray, weights: np.ndarray, lost_volume: float
-) -> tuple[np.ndarray, dict[str, float]]:
-    """Damage (nc, nq) scaled to have lost `lost_volume` (m^3), and the volumes as before that."""
+) -> tuple[np.ndarray, float, dict[str, float]]:
+    """Damage (nc, nq) scaled to have lost `lost_volume` (m^3), as `conserving_map` returns it."""
     exponent = conserving_exponent(damage, weights, lost_volume)
+    return scaled_damage(damage, exponent), exponent, _compared(damage, weights, lost_volume)
+
+
+def _compared(damage: np.ndarray, weights: np.ndarray, lost_volume: float) -> dict[str, float]:
+    """What `compare_lost_volume` returns, for a volume (m^3) lost on the lattice."""
     mesh = lost_volume_on_mesh(damage, weights)
-    return scaled_damage(damage, exponent), {
+    return {
         "lattice_lost_volume": lost_volume,
         "mesh_lost_volume": mesh,
         "relative_difference": mesh / lost_volume - 1.0 if lost_volume > 0.0 else 0.0,

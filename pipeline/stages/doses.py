@@ -16,10 +16,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from fem.quadrature import find_element
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.march.checkpoints import fingerprint
 from peri.engine.surface.exposure import exposure
 from peri.engine.surface.triangles import Surface
+from pipeline.geometry.mesh import cell_volumes, refine_tetrahedra, surface_faces
 from pipeline.geometry.surface import Solid
 from pipeline.stages.damage_map import interpolated
 
@@ -34,6 +36,13 @@ _LEAST_LEFT = 1e-15
 """Of a cell: what is left counts as this much at least."""
 _ROUNDS = 100
 _SETTLED = 1e-12
+_PARTS = 8
+"""Of a cell, its edges halved."""
+_SKIN_SHARE, _SKIN_DEPTH, _INNER_DEPTH = 0.5063296, 0.05878696, 0.4461163
+"""Three points of a part below its face at the surface: their share of it and their depth, over its
+height; depth of the fourth.  Means of depth, its square and its logarithm are exact with them."""
+_ASIDE = 0.7188559
+"""Place of the three between the middle (1/3) and the edges of the face (1): exact for squares."""
 
 
 def doses(scene: CorrosionScene, concentration: Array) -> Array | None:
@@ -86,6 +95,45 @@ def _dose(share: Array, rate: Array, blind: Array, left: Array) -> Array:
             break
         z = after
     return z
+
+
+def skin_points(points: Array, cells: NDArray[np.int64], halvings: int = 1) -> tuple[Array, Array]:
+    """Points (nc, np, 3) m and volumes (nc, np) m^3 for the mean over a cell of damage by exposure.
+
+    points (n, 3), cells (nc, 4): the mesh of a solid that sees liquid on its whole surface.  Each
+    cell has 8^halvings parts of four points, one part after another as `refine_tetrahedra` has
+    them.
+    Below the surface an exposure grows with the logarithm of the depth.  A part with a face there
+    has four points that are exact for it, and for quadratics, as those of the other parts are
+    (tests/pipeline/stages/test_doses.py).
+    """
+    finer, parts = points, cells
+    for _ in range(halvings):
+        finer, parts = refine_tetrahedra(finer, parts)
+    at_surface = surface_faces(parts)
+    face = np.where(at_surface.any(axis=1), at_surface.argmax(axis=1), 4)
+    plain = find_element("P2")
+    rules = [*map(_skin_rule, range(4)), (plain.barycentric, plain.weights / plain.weights.sum())]
+    barycentric = np.array([rule[0] for rule in rules])[face]
+    share = np.array([rule[1] for rule in rules])[face]
+    at = np.einsum("pqa,pad->pqd", barycentric, finer[parts])
+    volume = share * cell_volumes(finer, parts)[:, None]
+    return at.reshape(len(cells), -1, 3), volume.reshape(len(cells), -1)
+
+
+def _skin_rule(face: int) -> tuple[Array, Array]:
+    """Barycentric coordinates (4, 4) and shares (4,) of the points of a part by its face."""
+    aside = np.full((3, 3), 0.5 * (1.0 - _ASIDE)) + np.eye(3) * 0.5 * (3.0 * _ASIDE - 1.0)
+    along = [*((1.0 - _SKIN_DEPTH) * aside), np.full(3, (1.0 - _INNER_DEPTH) / 3.0)]
+    depth = [_SKIN_DEPTH] * 3 + [_INNER_DEPTH]
+    points = [np.insert(row, face, deep) for row, deep in zip(along, depth, strict=True)]
+    return np.array(points), np.array([_SKIN_SHARE / 3.0] * 3 + [1.0 - _SKIN_SHARE])
+
+
+def part_means(values: Array, weights: Array) -> Array:
+    """Means (nc, 8) over the parts of cells of values (nc, 32) at their `skin_points`."""
+    shape = (len(values), _PARTS, -1)
+    return np.average(values.reshape(shape), axis=2, weights=weights.reshape(shape))
 
 
 def exposure_at(

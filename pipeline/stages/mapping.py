@@ -9,20 +9,25 @@ import numpy as np
 from fem.quadrature import find_element, quadrature_points, sampling_points
 from peri.corrosion.results import read_corrosion
 from pipeline.geometry.mesh import read_mesh
+from pipeline.scene.mapping import by_nodes_because
+from pipeline.scene.mechanics import EXPOSURES, NODES
 from pipeline.scene.scene import HoldScene, Scene
 from pipeline.scene.units import ImmersionTime
 from pipeline.stages.corrosion import CORROSION_FILE
 from pipeline.stages.damage_map import (
     conserved,
     conserving_map,
+    lost_volume_on_lattice,
     lost_volume_on_mesh,
     net_section,
 )
-from pipeline.stages.doses import DOSES_FILE, damage_by_dose, exposure_at
+from pipeline.stages.doses import DOSES_FILE, damage_by_dose, exposure_at, part_means, skin_points
 from pipeline.stages.geometry import SURFACE_FILE, read_surface
 
 DAMAGE_FILE = "damage.h5"
 SCHEMA_VERSION = 1
+BLIND_METAL = "metal that saw no liquid at first has lost more than a thousandth of what is lost"
+"""Why a march whose scene allows exposures left no doses (doses.doses)."""
 
 
 def map_in_folder(
@@ -37,43 +42,39 @@ def map_in_folder(
     """Map the field of one immersion time and write damage.h5; returns the files and numbers.
 
     geometry: folder with the mesh of this way of holding.  The numbers hold the mean of f0 over
-    the mesh, the volumes lost on the lattice, on the mesh as interpolated, and on the mesh as
-    mapped (the lattice's, both before f0 is cut off at 1/q1), and what is left of the smallest net
-    section between the grips.
+    the mesh, the volumes lost on the lattice, on the mesh as found, and on the mesh as mapped (the
+    lattice's, both before f0 is cut off at 1/q1), what is left of the smallest net section between
+    the grips, and which map it was (nodes or exposures) and why, where it was nodes.
     """
     mesh = read_mesh(geometry)
     fields = read_corrosion(corrosion / CORROSION_FILE)
     number = int(np.flatnonzero(fields["times"] == moment.seconds)[0])
-    material = scene.alloy(alloy).material
+    maximum = 1.0 / scene.alloy(alloy).material.q1
     solid = float(fields["solid_concentration"])
+    mapping, because = _chosen(scene, moment, hold, corrosion)
     one_per_cell = hold.tensile.damage == "cell"
-    if one_per_cell:  # the field varies within a cell; one point in it misses a tenth of the loss
-        points, weights = sampling_points(mesh.points, mesh.cells)
-    else:
+    if not one_per_cell:
         points, weights = quadrature_points(mesh.points, mesh.cells, hold.tensile.element)
-    lattice = (fields["lattice/origin"], fields["lattice/spacing"])
-    concentration, metal = fields["concentration"][number], fields["metal"]
-
-    maximum = 1.0 / material.q1
-    whole, exponent, lost = conserving_map(
-        points, weights, *lattice, concentration, metal, solid, fields["capacity"]
-    )
-    if hold.tensile.mapping == "exposures":
-        if not (corrosion / DOSES_FILE).exists():
-            raise ValueError(
-                "mapping is exposures; it must be nodes where metal that saw no liquid at first "
-                "has lost more than a thousandth of what is lost"
-            )
-        kernel = (
-            scene.lattice.horizon, scene.corrosion.kernel_exponent, scene.corrosion.influence
-        )  # fmt: skip
-        surface = geometry if (geometry / SURFACE_FILE).exists() else geometry.parent
-        seen = exposure_at(points, read_surface(surface), *kernel, geometry)
+    elif mapping == EXPOSURES:
+        points, weights = skin_points(mesh.points, mesh.cells)
+    else:  # the field varies within a cell; one point in it misses a tenth of the loss
+        points, weights = sampling_points(mesh.points, mesh.cells)
+    place = (fields["lattice/origin"], fields["lattice/spacing"])
+    lost_by = (fields["concentration"][number], fields["metal"], solid)
+    if mapping == EXPOSURES:
+        seen = _seen(scene, points, geometry)
         with np.load(corrosion / DOSES_FILE) as stored:
-            by_dose = damage_by_dose(points, seen, *lattice, stored["dose"][number])
-        whole, lost = conserved(by_dose, weights, lost["lattice_lost_volume"])
+            damage = damage_by_dose(points, seen, *place, stored["dose"][number])
+        held = fields["capacity"] * place[1].prod()
+        whole, exponent, lost = conserved(damage, weights, lost_volume_on_lattice(*lost_by, held))
+    else:
+        whole, exponent, lost = conserving_map(
+            points, weights, *place, *lost_by, fields["capacity"]
+        )
     damage, volume = np.minimum(whole, maximum), float(weights.sum())
     numbers = {
+        "mapping": mapping,
+        "mapping_because": because,
         "mean_corrosion_damage": float((damage * weights).sum() / volume),
         "maximum_corrosion_damage": float(damage.max()),
         "volume_share_at_maximum": float(weights[damage >= maximum - 1e-12].sum() / volume),
@@ -81,10 +82,35 @@ def map_in_folder(
         **lost,
         "mapped_lost_volume": lost_volume_on_mesh(whole, weights),
     }
+    parts = None
     if one_per_cell:
         damage = ((damage * weights).sum(axis=1) / weights.sum(axis=1))[:, None]
-    write_damage(out / DAMAGE_FILE, damage, moment, hold.tensile.element, exponent)
-    return [out / DAMAGE_FILE], numbers
+        parts = part_means(whole, weights) if mapping == EXPOSURES else None
+    path = out / DAMAGE_FILE
+    write_damage(path, damage, moment, hold.tensile.element, exponent, mapping, parts)
+    return [path], numbers
+
+
+def _chosen(
+    scene: Scene, moment: ImmersionTime, hold: HoldScene, corrosion: Path
+) -> tuple[str, str]:
+    """The map of a test, and why it is nodes; ValueError where the one asked for cannot be had."""
+    if moment.seconds == 0:
+        return NODES, "nothing has corroded"
+    because = by_nodes_because(scene, hold.tensile)
+    if because or (corrosion / DOSES_FILE).exists():
+        return (NODES if because else EXPOSURES), because
+    if hold.tensile.mapping == EXPOSURES:
+        raise ValueError(f"mapping is exposures; it must be nodes or auto where {BLIND_METAL}")
+    return NODES, BLIND_METAL
+
+
+def _seen(scene: Scene, points: np.ndarray, geometry: Path) -> np.ndarray:
+    """The exposures of points of a mesh in the folder `geometry`, which keeps them."""
+    settings = scene.corrosion
+    surface = geometry if (geometry / SURFACE_FILE).exists() else geometry.parent
+    kernel = (scene.lattice.horizon, settings.kernel_exponent, settings.influence)
+    return exposure_at(points, read_surface(surface), *kernel, geometry)
 
 
 def map_intact(moment: ImmersionTime, hold: HoldScene, geometry: Path, out: Path) -> None:
@@ -97,7 +123,7 @@ def map_intact(moment: ImmersionTime, hold: HoldScene, geometry: Path, out: Path
     count = 1 if one_per_cell else find_element(hold.tensile.element).points
     out.mkdir(parents=True, exist_ok=True)
     damage = np.zeros((len(read_mesh(geometry).cells), count))
-    write_damage(out / DAMAGE_FILE, damage, moment, hold.tensile.element, 0.0)
+    write_damage(out / DAMAGE_FILE, damage, moment, hold.tensile.element, 0.0, NODES)
 
 
 def _net_section_left(
@@ -122,12 +148,18 @@ def _net_section_left(
 
 
 def write_damage(
-    path: Path, damage: np.ndarray, moment: ImmersionTime, element: str, exponent: float
+    path: Path,
+    damage: np.ndarray,
+    moment: ImmersionTime,
+    element: str,
+    exponent: float,
+    mapping: str,
+    parts: np.ndarray | None = None,
 ) -> None:
     """Store f0 (nc, nq or 1), in the order of the mesh's cells, in one step.
 
-    exponent: of the interpolated map (damage_map.scaled_damage), by which the report maps to other
-    points; at those on the surface the map by doses has nothing left from the first moment.
+    mapping, exponent: the map, and with what it was scaled (damage_map.scaled_damage), by which the
+    report maps nodes to other points; parts (nc, 8): damage of the eighths of cells, not cut off.
     """
     temporary = path.with_name(f".{path.name}.tmp")
     with h5py.File(temporary, "w") as file:
@@ -135,10 +167,15 @@ def write_damage(
         file.attrs["element"] = element
         file.attrs["immersion"] = moment.label
         file.attrs["immersion_seconds"] = moment.seconds
+        file.attrs["mapping"] = mapping
         file.attrs["exponent"] = exponent
         data = file.create_dataset("f0", data=damage, compression="lzf")
         data.attrs["unit"] = "1"
         data.attrs["dimensions"] = "cell, quadrature point"
+        if parts is not None:
+            data = file.create_dataset("parts", data=parts.astype(np.float32), compression="lzf")
+            data.attrs["unit"] = "1"
+            data.attrs["dimensions"] = "cell, part of it (geometry.mesh.refine_tetrahedra)"
     os.replace(temporary, path)
 
 

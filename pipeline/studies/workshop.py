@@ -19,16 +19,19 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 
 from pipeline.record.children import end_with_parent
 from pipeline.record.machine import child_environment
 from pipeline.record.run_folder import write_json
+from pipeline.record.stage_hashes import STAGE_REVISION
 from pipeline.scene.resolve import resolve_scene
 from pipeline.scene.scene import Scene
 from pipeline.scene.units import parse_immersion_times
 
+SURFACE_FILE = "surface.npz"
 LIMIT_SECONDS = 600.0
 """Processor time after which a pull is given up."""
 
@@ -147,6 +150,7 @@ class Workshop:
             liquid_domain,
             metal_of,
         )
+        from pipeline.stages.doses import doses
 
         if rate_change is not None:
             changes["corrosion"] = {**changes.get("corrosion", {}), "rate_change": rate_change}
@@ -174,16 +178,26 @@ class Workshop:
             tolerance=scene.corrosion.tolerance,
         )
         seconds = time.process_time() - begun
+        dose, more = doses(result.scene, result.concentration), {}
+        if dose is not None:
+            np.savez(self.folder / SURFACE_FILE, points=solid.points, triangles=solid.triangles)
+            more = {
+                "horizon": scene.lattice.horizon,
+                "kernel_exponent": scene.corrosion.kernel_exponent,
+                "influence": scene.corrosion.influence,
+            }
         if exposed is not None:
             result = by_nodes(result, metal)
         march = result.scene
         fields = zip(times, result.concentration, result.volume_loss, strict=True)
-        for moment, concentration, loss in fields:
+        for number, (moment, concentration, loss) in enumerate(fields):
+            if dose is not None:
+                more["dose"] = dose[number]
             np.savez(
                 _field_path(self.folder, name, alloy, moment.label),
                 origin=lattice.origin, spacing=lattice.spacing, concentration=concentration,
                 metal=metal, solid=march.solid_concentration, capacity=march.capacity(),
-                volume_loss=loss,
+                volume_loss=loss, **more,
             )  # fmt: skip
         self.corrosion_seconds[alloy, name] = seconds
         write_json(done, {"scene": mark, "seconds": seconds, "setup_seconds": setup})
@@ -250,7 +264,8 @@ class Workshop:
     def _row_path(self, pull: Pull) -> Path:
         said = {f.name: getattr(pull, f.name) for f in fields(Pull)[2:]}
         plain = {f.name: f.default for f in fields(Pull)}
-        what = json.dumps({name: said[name] for name in said if said[name] != plain[name]})
+        changed = {name: said[name] for name in said if said[name] != plain[name]}
+        what = json.dumps([STAGE_REVISION["map"], STAGE_REVISION["pull"], changed])
         return self.folder / f"pull-{hashlib.sha256(what.encode()).hexdigest()[:16]}.csv"
 
     def _kept(self, pull: Pull, limit: float) -> Row | None:
@@ -327,7 +342,7 @@ def pull_once(folder: Path, pull: Pull, limit: float = LIMIT_SECONDS) -> Row:
     with np.load(_mesh_path(folder, pull.mesh_size, pull.mesh_size_fine, pull.ends)) as mesh:
         points, cells = mesh["points"], mesh["cells"]
     with np.load(_field_path(folder, pull.field, pull.alloy, pull.immersion)) as field:
-        damage = mapped_damage(points, cells, pull, field, 1.0 / values.q1)
+        damage = mapped_damage(points, cells, pull, field, 1.0 / values.q1, folder)
     grips = Grips(test.bottom_grip, test.top_grip, test.lateral)
     begun = time.process_time()
     signal.signal(signal.SIGPROF, _overdue)
@@ -375,19 +390,37 @@ def pull_once(folder: Path, pull: Pull, limit: float = LIMIT_SECONDS) -> Row:
     )
 
 
-def mapped_damage(points, cells, pull: Pull, field, maximum: float) -> np.ndarray:
-    """f0 of a pull: (nc, nq) at the quadrature points, or (nc, 1) averaged over each cell."""
-    from fem.quadrature import quadrature_points, sampling_points
-    from pipeline.stages.damage_map import conserving_map
+def mapped_damage(points, cells, pull: Pull, field, maximum: float, folder: Path) -> np.ndarray:
+    """f0 of a pull: (nc, nq) at the quadrature points, or (nc, 1) averaged over each cell.
 
+    By exposures where the field has doses, as in a run.  folder: where the surface is, and where
+    what the points see is kept.
+    """
+    from fem.quadrature import quadrature_points, sampling_points
+    from pipeline.stages.damage_map import conserved, conserving_map, lost_volume_on_lattice
+    from pipeline.stages.doses import damage_by_dose, exposure_at, skin_points
+
+    by_dose = "dose" in field
     if pull.samples is None:
         at, weights = quadrature_points(points, cells, pull.element)
     else:
-        at, weights = sampling_points(points, cells, pull.samples)  # points of equal volumes
-    names = ("origin", "spacing", "concentration", "metal", "solid", "capacity")
-    whole, _, _ = conserving_map(at, weights, *(field[name] for name in names))
+        at, weights = (skin_points if by_dose else sampling_points)(points, cells, pull.samples)
+    place = (field["origin"], field["spacing"])
+    lost = (field["concentration"], field["metal"], field["solid"])
+    if by_dose:
+        with np.load(folder / SURFACE_FILE) as surface:
+            solid = SimpleNamespace(points=surface["points"], triangles=surface["triangles"])
+        kernel = (field["horizon"].item(), field["kernel_exponent"].item(), str(field["influence"]))
+        seen = exposure_at(at, solid, *kernel, folder)
+        held = field["capacity"] * np.prod(field["spacing"])
+        whole, _, _ = conserved(
+            damage_by_dose(at, seen, *place, field["dose"]), weights,
+            lost_volume_on_lattice(*lost, held),
+        )  # fmt: skip
+    else:
+        whole, _, _ = conserving_map(at, weights, *place, *lost, field["capacity"])
     damage = np.minimum(whole, maximum)
-    return damage if pull.samples is None else damage.mean(axis=1, keepdims=True)
+    return damage if pull.samples is None else np.average(damage, 1, weights)[:, None]
 
 
 def weeks(label: str) -> float:

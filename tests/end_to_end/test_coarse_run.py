@@ -195,33 +195,74 @@ def test_mass_is_conserved_and_lattice_and_mesh_lose_alike(run):
         assert mapped["numbers"]["net_section_left"] == pytest.approx(pulled, abs=0.1)
 
 
-def test_damage_by_exposures_loses_what_the_lattice_lost(run, tmp_path):
+def test_a_cells_skin_is_gone_first_where_the_scene_allows_exposures(run, tmp_path):
+    from pipeline.stages.doses import DOSES_FILE
     from pipeline.stages.mapping import map_in_folder, read_damage
 
     scene, folder = _scene(), run[0] / "Mg-5Gd"
     hold = scene.holds[0]
-    exposed = replace(hold, tensile=replace(hold.tensile, mapping="exposures"))
-    paths = (run[0] / "geometry", folder / "corrosion", tmp_path)
-    _, numbers = map_in_folder(scene, "Mg-5Gd", scene.immersion[1], exposed, *paths)
-    lost = numbers["lattice_lost_volume"]
-    assert numbers["mapped_lost_volume"] == pytest.approx(lost, rel=1e-12) and lost > 0
-    by_nodes = read_damage(folder / "8w" / "shank" / "damage.h5")
-    by_exposures = read_damage(tmp_path / "damage.h5")
-    assert by_exposures.shape == by_nodes.shape and by_exposures.max() <= 2 / 3 + 1e-12
-    assert np.abs(by_exposures - by_nodes).max() > 0.02
+
+    def mapped(mapping: str, corrosion: Path):
+        asked = replace(hold, tensile=replace(hold.tensile, mapping=mapping))
+        paths = (run[0] / "geometry", corrosion, tmp_path)
+        _, numbers = map_in_folder(scene, "Mg-5Gd", scene.immersion[1], asked, *paths)
+        lost = numbers["lattice_lost_volume"]
+        assert numbers["mapped_lost_volume"] == pytest.approx(lost, rel=1e-12) and lost > 0
+        return numbers, read_damage(tmp_path / "damage.h5")
+
+    told = json.loads((folder / "8w" / "shank" / "map.stage.json").read_text())["numbers"]
+    by_default = read_damage(folder / "8w" / "shank" / "damage.h5")
+    numbers, damage = mapped("exposures", folder / "corrosion")
+    assert (told["mapping"], told["mapping_because"]) == ("exposures", "")
+    assert np.array_equal(damage, by_default) and damage.max() <= 2 / 3 + 1e-12
+    numbers, by_nodes = mapped("nodes", folder / "corrosion")
+    assert (numbers["mapping"], numbers["mapping_because"]) == ("nodes", "as --mapping nodes asks")
+    assert by_nodes.shape == damage.shape and np.abs(by_nodes - damage).max() > 0.02
+    # where exposures turned out not to say what went there
+    blind = tmp_path / "corrosion"
+    shutil.copytree(folder / "corrosion", blind)
+    (blind / DOSES_FILE).unlink()
+    numbers, damage = mapped("auto", blind)
+    assert numbers["mapping"] == "nodes" and "saw no liquid" in numbers["mapping_because"]
+    assert np.array_equal(damage, by_nodes)
+    with pytest.raises(ValueError, match="mapping is exposures; it must be nodes or auto where"):
+        mapped("exposures", blind)
 
 
-def test_pictures_show_the_damage_that_is_pulled(run):
+def test_pictures_show_the_damage_that_is_pulled(run, tmp_path):
+    import h5py
+
     from fem.quadrature import sampling_points
+    from pipeline.geometry.mesh import refine_tetrahedra
+    from pipeline.stages.mapping import map_in_folder
 
-    results = read_run(run[0])
-    at, _ = sampling_points(results.points, results.cells)
+    scene, results = _scene(), read_run(run[0])
+    points, cells = results.points, results.cells
+    finer = refine_tetrahedra(points, cells)
+    at, _ = sampling_points(points, cells)
+    hold = scene.holds[0]
+    hold = replace(hold, tensile=replace(hold.tensile, mapping="nodes"))
     for alloy in results.alloys:
         item = alloy.immersions[-1]
-        assert item.map_exponent != 1.0  # measured 0.95 to 1.1 on such coarse cells
-        shown = damage_field(results, alloy.name, item, at.reshape(-1, 3), len(results.cells))
-        pulled = np.minimum(shown, 2 / 3).reshape(at.shape[:2]).mean(axis=1)
-        assert pulled == pytest.approx(item.damage[:, 0], abs=1e-12)
+        # by exposures, before it is cut off: of each eighth of a cell, and of what it is cut into
+        assert item.mapping == "exposures" and item.map_exponent != 1.0
+        shown = damage_field(results, alloy.name, item, finer[0], len(finer[1]))
+        again = damage_field(results, alloy.name, item, finer[0], 8 * len(finer[1]))
+        assert np.array_equal(again, np.repeat(shown, 8)) and 2 / 3 < shown.max() <= 1
+        means = shown.reshape(-1, 8).mean(axis=1)
+        whole = damage_field(results, alloy.name, item, points, len(cells))
+        assert whole == pytest.approx(means)
+        more = means - item.damage[:, 0]  # what is pulled is cut off at 2/3, point by point
+        assert -1e-6 < more.min() and more.max() < 1 / 3 and (more < 1e-6).any()
+        # by nodes, at the points of a cell
+        paths = (run[0] / "geometry", run[0] / alloy.name / "corrosion", tmp_path)
+        map_in_folder(scene, alloy.name, scene.immersion[1], hold, *paths)
+        with h5py.File(tmp_path / "damage.h5") as file:
+            pulled, exponent = file["f0"][:], float(file.attrs["exponent"])
+        between = replace(item, mapping="nodes", parts=None, map_exponent=exponent)
+        shown = damage_field(results, alloy.name, between, at.reshape(-1, 3), len(cells))
+        shown = np.minimum(shown, 2 / 3).reshape(at.shape[:2]).mean(axis=1)
+        assert shown == pytest.approx(pulled[:, 0], abs=1e-12)
 
 
 def test_volume_loss_rises_step_by_step(run):

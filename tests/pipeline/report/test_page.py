@@ -10,11 +10,12 @@ import zlib
 import numpy as np
 import pytest
 
+from pipeline.geometry.mesh import refine_tetrahedra
 from pipeline.record.run_results import read_run
 from pipeline.record.summary import read_summary, write_summary
 from pipeline.report import doubts, drawing, picture_set, plots, provenance, report, solid_view
 from pipeline.report.downloads import downloads
-from pipeline.report.pictures import damage_at_points, refine_tetrahedra
+from pipeline.report.pictures import damage_at_points
 from tests.pipeline.report.run_folders import RATIOS, pin_mesh, scene_of, write_run
 
 

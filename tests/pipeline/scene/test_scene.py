@@ -182,13 +182,13 @@ def test_unknown_missing_and_mistyped_fields_are_named(scene):
         (lambda: DomainSettings(shape="cube"), "domain shape is 'cube'"),
         (
             lambda: TensileScene(mapping="skin"),
-            "mapping is 'skin'; it must be one of nodes, exposures",
+            "mapping is 'skin'; it must be one of auto, nodes, exposures",
         ),
         (
             lambda: resolve_scene(
                 ["Mg-5Gd"], ["8w"], corrosion={"classes": 0}, tensile={"mapping": "exposures"}
             ),
-            "mapping is exposures; it must be nodes without rate classes",
+            "mapping is exposures; it must be nodes or auto without rate classes",
         ),
     ],
 )

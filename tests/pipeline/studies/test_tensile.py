@@ -1,6 +1,7 @@
 """The studies of the tensile stage and of the whole life cycle: arithmetic, tables, presets."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -174,7 +175,7 @@ def test_the_mesh_of_a_pull_loses_what_its_lattice_lost(samples):
         "metal": metal, "solid": 2.0, "capacity": np.full(metal.shape, 16.0 / metal.size),
     }  # fmt: skip
     pull = Pull("", "", "Mg-5Gd", "8w", "P2", 1e-3, 1e-3, 0.01, samples=samples)
-    damage = mapped_damage(points, cells, pull, field, 1.0)
+    damage = mapped_damage(points, cells, pull, field, 1.0, Path())
     _, weights = quadrature_points(points, cells, "P2")
     volumes = weights if samples is None else weights.sum(axis=1, keepdims=True)
     assert (damage * volumes).sum() == pytest.approx(lost.mean() * 2e-9, rel=1e-12)
