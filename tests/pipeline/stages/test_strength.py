@@ -28,7 +28,9 @@ def job(tmp_path) -> TensileJob:
     write_mesh(TetrahedralMesh(points, cells, {}), tmp_path)
     middle = points[cells].mean(axis=1)
     f0 = np.where(middle[:, 2] > 1e-3, 0.2, 0.05)[:, None]
-    write_damage(tmp_path / DAMAGE_FILE, f0, parse_immersion_times(["8w"])[0], "P1-Fbar", 1.0)
+    write_damage(
+        tmp_path / DAMAGE_FILE, f0, parse_immersion_times(["8w"])[0], "P1-Fbar", 1.0, "nodes"
+    )
     return TensileJob(
         str(tmp_path), str(tmp_path), str(tmp_path),
         MaterialParameters(43e9, 0.3, 130e6, 120e6, 10.0),
