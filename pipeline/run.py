@@ -52,7 +52,7 @@ def add_init_options(parser: argparse.ArgumentParser) -> None:
 def _add_options(parser: argparse.ArgumentParser) -> None:
     add_scene_options(parser)
     add_folder_options(parser, resume=True)
-    add_machine_options(parser)
+    add_machine_options(parser, march=True)
     add_sample_options(parser)
     add_until_options(parser)
     parser.add_argument("--log", metavar="FILE", help="add what happens to it, as JSON lines")

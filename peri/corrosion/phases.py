@@ -48,8 +48,6 @@ class Phases:
         self.initial_metal = self.metal.copy()
         self.solid = self.sum.pad(scene.phases()).astype(np.uint8)
         self._rates: tuple[float, float] | None = None
-        if scene.pores and not processes.whole:
-            raise ValueError("pores: their liquid is computed in one process, not on ranks")
         self.walls = Walls(self.sum) if scene.walls else None
         self._make_box()
         self.update_phase()

@@ -231,12 +231,15 @@ def corrode_lean(
     progress: Callable[[float, str], None] | None = None,
     checkpoint: Path | None = None,
     resume: bool = False,
+    march_by: Callable[..., GalvanicResult] = corrode,
 ) -> tuple[GalvanicResult, list[Omission]]:
     """`galvanic.corrode` without what the couple does not need; also what was left out.
 
     The bounds of potential and kinetics are of the couple as it is at the start; at the end the
     currents are computed whole once more, and where they are off by more than the tolerance (a gap
     that has grown, say) the couple is marched again with nothing of the two left out.
+
+    march_by : what marches, `corrode` or a function that takes the same (`galvanic_ranks.corrode`).
     """
     omissions = couple_omissions(scene, renewal, tolerance, refused, float(max(times, default=0.0)))
     applied = {o.name for o in omissions if o.applied}
@@ -248,7 +251,7 @@ def corrode_lean(
         fast = at_rest_potentials(marched)
         assert fast is not None
         marched = fast
-    result = corrode(
+    result = march_by(
         marched, times, how, one_level=POTENTIAL in applied, progress=progress,
         checkpoint=checkpoint, resume=resume,
     )  # fmt: skip
@@ -259,7 +262,7 @@ def corrode_lean(
         return replace(result, scene=scene), omissions
     log.info("currents are %.2g off at the end: marched again", off)
     how = replace(how, change=0.0) if IONS in applied else how
-    result = corrode(scene, times, how, progress=progress)
+    result = march_by(scene, times, how, progress=progress)
     text = f"needed: the currents are {off:.2g} off at the end"
     return result, [
         o if o.name == RENEWAL or not o.applied else replace(o, applied=False, reason=text)

@@ -16,7 +16,7 @@ marched again with its liquid.
 from __future__ import annotations
 
 import logging
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -137,16 +137,18 @@ def corrode_activated(
     *,
     tolerance: float = DEFAULT_TOLERANCE,
     refused: Collection[str] = (),
+    march_by: Callable[..., CorrosionResult] = corrode,
     **march: Any,
 ) -> tuple[CorrosionResult, Omission]:
     """`corrode` without the liquid where the metal does not look at it; also what was decided.
 
-    march : as `corrode` takes it.  Liquid that was left out has no concentration (0).
+    march_by : what marches, `corrode` or a function that takes the same (`ranks.corrode`).  march :
+    as `corrode` takes it.  Liquid that was left out has no concentration (0).
     """
     omission = activation(scene, float(np.max(times)), tolerance, refused)
     if not omission.applied:
-        return corrode(scene, times, stepping, **march), omission
-    result = corrode(replace(scene, saturation="none"), times, stepping, alone=True, **march)
+        return march_by(scene, times, stepping, **march), omission
+    result = march_by(replace(scene, saturation="none"), times, stepping, alone=True, **march)
     most = max(resting_liquid(scene, metal) for metal in result.metal)
     share = most / scene.saturation_concentration
     if share < 0.5 * _HIGHEST:
@@ -156,5 +158,5 @@ def corrode_activated(
     march.pop("checkpoint", None)
     march.pop("resume", None)
     reason = f"needed: the liquid at rest has {share:.2g} C_sat at one of the output times"
-    result = corrode(scene, times, stepping, **march)
+    result = march_by(scene, times, stepping, **march)
     return result, replace(omission, reason=reason, bound=np.inf, applied=False)

@@ -10,10 +10,7 @@ COATING = ("coating_factor", "coating_lifetime")
 
 
 def add_sample_options(parser: argparse.ArgumentParser) -> None:
-    """Options of `perilife run` for ranks of a march and for bands from samples."""
-    parser.add_argument(
-        "--ranks", type=int, default=1, metavar="N", help="MPI ranks of each corrosion march (1)"
-    )
+    """Options of `perilife run` for bands from samples."""
     parser.add_argument(
         "--samples",
         type=int,

@@ -12,12 +12,16 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pipeline.record.options import add_ranks_options
+
 if TYPE_CHECKING:
     from peri.engine.omission import Omission
     from pipeline.record.run_folder import RunFolder
     from pipeline.scenes.files import SceneFile
 
-OF_A_FILE = ("scene", "out", "quiet", "resume", "json", "spacing", "immersion")
+OF_A_FILE = (
+    "scene", "out", "quiet", "resume", "json", "spacing", "immersion", "ranks", "oversubscribe",
+)  # fmt: skip
 """Options of `perilife run` that a scene of localised corrosion takes, too."""
 STAGE = "scene"
 CHECKPOINT = "march.h5"
@@ -31,6 +35,7 @@ def add_scenes_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--times", nargs="+", metavar="T", help="output times (the scene's own)")
     parser.add_argument("--quiet", action="store_true", help="no progress")
     parser.add_argument("--resume", action="store_true", help="go on with the same scene")
+    add_ranks_options(parser)
 
 
 def run_scenes(options: argparse.Namespace, say: Callable[[str], None]) -> None:
@@ -145,13 +150,17 @@ def _run(
     options: argparse.Namespace, scene: SceneFile, out: str, say: Callable[[str], None]
 ) -> RunFolder:
     """March and write, in a locked folder."""
-    from pipeline.record.machine import package_versions
+    from pipeline.record.machine import check_counts, package_versions
     from pipeline.record.progress import progress_for
     from pipeline.record.run_folder import RunFolder, StageRecord, utc_now, write_json
     from pipeline.scenes.files import to_json
-    from pipeline.scenes.writing import PLOT_FILE, SUMMARY_FILE, write_outcome
+    from pipeline.scenes.writing import PLOT_FILE, SUMMARY_FILE, march_and_write
 
+    check_counts(options.ranks, None, options.oversubscribe, "--ranks")
     prepared = scene.prepared()
+    if options.ranks > 1 and prepared.alone:
+        raise ValueError(f"--ranks is {options.ranks} for scene '{scene.name}'; it must be 1: "
+                         f"{prepared.alone}")  # fmt: skip
     content, times = to_json(scene, prepared), [time.seconds for time in scene.times]
     mark = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
     folder = RunFolder(out)
@@ -172,15 +181,23 @@ def _run(
             write_json(folder.scene_file, content)
             started = time.perf_counter()
             progress.started(key)
-            outcome = prepared.march(
-                times,
-                checkpoint=checkpoint,
-                resume=options.resume,
-                progress=lambda share, text: progress.advanced(key, share, text),
-            )
-            paths = write_outcome(folder.path, scene.name, outcome)
+
+            def advanced(share: float, text: str) -> None:
+                progress.advanced(key, share, text)
+
+            if options.ranks == 1:
+                paths, numbers = march_and_write(
+                    folder.path, key, prepared, times, checkpoint=checkpoint,
+                    resume=options.resume, progress=advanced,
+                )  # fmt: skip
+            else:
+                from pipeline.scenes.on_ranks import march_on_ranks
+
+                paths, numbers = march_on_ranks(
+                    key, folder.scene_file, checkpoint, options.resume, options.ranks, advanced,
+                    folder.descriptors,
+                )  # fmt: skip
             seconds = time.perf_counter() - started
-            numbers = {n: [v, unit] for n, (v, unit) in _finite(outcome.summary).items()}
             record = StageRecord(
                 STAGE,
                 mark,
@@ -214,11 +231,6 @@ def in_words(value: float, unit: str) -> str:
     if unit == "m2":
         return f"{1e12 * value:.4g} um2" if abs(value) < 1e-9 else f"{1e6 * value:.4g} mm2"
     return f"{value:.6g} {unit if unit != '1' else ''}".rstrip()
-
-
-def _finite(summary: dict) -> dict:
-    """Without what has no number, which JSON has none for."""
-    return {n: v for n, v in summary.items() if abs(v[0]) < float("inf")}
 
 
 def _same(folder, content: dict) -> bool:

@@ -31,7 +31,7 @@ from pipeline.scenes.metals import (
     ions_of,
     metals_of,
 )
-from pipeline.scenes.outcome import Curve, Outcome, Panel, Prepared
+from pipeline.scenes.outcome import HERE, Curve, Marchers, Outcome, Panel, Prepared
 
 if TYPE_CHECKING:
     from pipeline.geometry.surface import Solid
@@ -184,6 +184,7 @@ def prepare(given: Given) -> Prepared:
         beside.values,
         lambda end: couple_omissions(scene, renewal, *lean, end=end),
         f"{scene.metal().size:,} nodes, {int((~scene.metal()).sum()):,} of liquid",
+        "" if scene.robin == ROBIN[0] else "mirror nodes (potential.robin) have one process",
     )
 
 
@@ -244,11 +245,12 @@ def _march(
     checkpoint: Path | None = None,
     resume: bool = False,
     progress: Callable[[float, str], None] | None = None,
+    by: Marchers = HERE,
 ) -> Outcome:
     """March the couple; the summary is of the first metal that dissolves."""
     result, omissions = corrode_lean(
         scene, times, renewal, tolerance=lean[0], refused=lean[1], checkpoint=checkpoint,
-        resume=resume, progress=progress,
+        resume=resume, progress=progress, march_by=by.couple,
     )  # fmt: skip
     dissolves = next((n for n, m in enumerate(scene.metals) if m.solid_concentration), 0)
     lattice = scene.lattice

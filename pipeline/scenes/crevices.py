@@ -18,7 +18,7 @@ from peri.omissions.thin_gap import COLUMNS, ThinGap, ThinGapProblem, potential_
 from peri.transport.potential.conductivity import IonConductivity
 from pipeline.scene.units import format_length
 from pipeline.scenes.keys import TEXT, Given, Key, positive
-from pipeline.scenes.outcome import Curve, Outcome, Panel, Prepared
+from pipeline.scenes.outcome import HERE, Curve, Marchers, Outcome, Panel, Prepared
 
 LENGTH, MOST = 12.7e-3, 5600.0
 LAWS = ("acidity-625", "constant")
@@ -160,7 +160,9 @@ def prepare(given: Given) -> Prepared:
         ]
 
     size = f"{nodes:,} nodes along the gap"
-    return Prepared(given.values, functools.partial(_march, scene, conducts), {}, reductions, size)
+    march = functools.partial(_march, scene, conducts)
+    alone = "the film equation has no lattice to share out"
+    return Prepared(given.values, march, {}, reductions, size, alone)
 
 
 def _march(
@@ -171,6 +173,7 @@ def _march(
     checkpoint: Path | None = None,
     resume: bool = False,
     progress: Callable[[float, str], None] | None = None,
+    by: Marchers = HERE,  # a film has no lattice to share
 ) -> Outcome:
     done = march(
         ThinGapProblem(scene), times, TimeStepping(rate_change=0.1),

@@ -23,7 +23,7 @@ from perilife_data import Alloy, load_alloy
 from pipeline.scene.units import format_length
 from pipeline.scenes import couples
 from pipeline.scenes.keys import TEXT, Given, Key, positive
-from pipeline.scenes.outcome import Curve, Outcome, Panel, Prepared
+from pipeline.scenes.outcome import HERE, Curve, Marchers, Outcome, Panel, Prepared
 
 if TYPE_CHECKING:
     from pipeline.geometry.surface import Solid
@@ -169,6 +169,8 @@ def strengths(made: Joint, pull: Pull, results: Sequence[GalvanicResult]) -> lis
     which have one rate each; the mesh loses the share of its metal that the lattice lost, whose
     nodes each stand for one part of the implant's volume.
     """
+    from mpi4py.MPI import COMM_SELF as alone  # marches may have other ranks
+
     from fem.constitutive import Material, fit_voce
     from fem.quadrature import sampling_points
     from fem.solid import Grips
@@ -195,7 +197,7 @@ def strengths(made: Joint, pull: Pull, results: Sequence[GalvanicResult]) -> lis
         )  # fmt: skip
         damages.append(np.minimum(whole, 1.0 / material.q1).mean(axis=1))
     return [
-        float(tensile_test(mesh.points, mesh.cells, damage, material, settings).peak_force)
+        float(tensile_test(mesh.points, mesh.cells, damage, material, settings, alone).peak_force)
         for damage in damages
     ]
 
@@ -219,6 +221,7 @@ def _march(
     checkpoint: Path | None = None,
     resume: bool = False,
     progress: Callable[[float, str], None] | None = None,
+    by: Marchers = HERE,
 ) -> Outcome:
     """Coupled and insulated marches, both pulled, and what the first current depends on."""
     results = []
@@ -232,7 +235,7 @@ def _march(
         limited = replace(renewal, longest=min(renewal.longest, max(times) / 16))
         result, _ = corrode_lean(
             scene, times, limited, tolerance=lean[0], refused=lean[1], checkpoint=file,
-            resume=resume, progress=so_far,
+            resume=resume, progress=so_far, march_by=by.couple,
         )  # fmt: skip
         results.append(result)
     together, apart = results

@@ -9,6 +9,10 @@ from typing import Protocol
 
 import numpy as np
 
+from peri.corrosion.run import CorrosionResult
+from peri.corrosion.run import corrode as march_metal
+from peri.coupled.galvanic import GalvanicResult
+from peri.coupled.galvanic import corrode as march_couple
 from peri.engine.lattice import Lattice
 from peri.engine.omission import Omission
 from peri.engine.results import Field
@@ -64,6 +68,18 @@ class Outcome:
     wall_time: float
 
 
+@dataclass(frozen=True)
+class Marchers:
+    """What marches a metal and what a couple: this process, or ranks (pipeline.scenes.ranks)."""
+
+    metal: Callable[..., CorrosionResult] = march_metal
+    couple: Callable[..., GalvanicResult] = march_couple
+
+
+HERE = Marchers()
+"""This process."""
+
+
 class March(Protocol):
     """Marches a scene to its times."""
 
@@ -74,6 +90,7 @@ class March(Protocol):
         checkpoint: Path | None = None,
         resume: bool = False,
         progress: Callable[[float, str], None] | None = None,
+        by: Marchers = HERE,
     ) -> Outcome:
         """The outcome at the times (s)."""
 
@@ -84,7 +101,7 @@ class Prepared:
 
     values : for the record, by their keys.  march : to its times.  beside : values of data files
     that it uses, by name.  reductions : what it need not compute until a time (s).  size : of what
-    is computed, in words.
+    is computed, in words.  alone : why one process computes it; empty where ranks may, too.
     """
 
     values: Mapping[str, Value]
@@ -92,6 +109,7 @@ class Prepared:
     beside: Mapping[str, Value] = field(default_factory=dict)
     reductions: Callable[[float], list[Omission]] = field(default=lambda end: [])
     size: str = ""
+    alone: str = ""
 
     @property
     def assumed(self) -> list[str]:

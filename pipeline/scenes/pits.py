@@ -17,7 +17,7 @@ from peri.engine.march.marching import TimeStepping
 from peri.engine.omission import Omission
 from peri.engine.results import Field, axes_of
 from peri.omissions.activation import corrode_activated
-from pipeline.scenes.outcome import Curve, Outcome, Panel
+from pipeline.scenes.outcome import HERE, Curve, Marchers, Outcome, Panel
 from pipeline.scenes.salt import film_fields
 
 STEEL_304 = {
@@ -109,6 +109,7 @@ def march_pencil(
     checkpoint: Path | None = None,
     resume: bool = False,
     progress: Callable[[float, str], None] | None = None,
+    by: Marchers = HERE,
 ) -> Outcome:
     """March a pencil electrode, and when a salt layer begins to hold it back.
 
@@ -116,7 +117,7 @@ def march_pencil(
     """
     result, transport = corrode_activated(
         scene, times, stepping, refused=kept, checkpoint=checkpoint, resume=resume,
-        progress=progress,
+        progress=progress, march_by=by.metal,
     )  # fmt: skip
     history = result.history
     depth = front_depth(scene, history)

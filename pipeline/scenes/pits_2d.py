@@ -19,7 +19,7 @@ from peri.engine.lattice import Lattice
 from peri.engine.march.marching import TimeStepping
 from peri.engine.results import Field, axes_of
 from peri.omissions.activation import corrode_activated
-from pipeline.scenes.outcome import Curve, Outcome, Panel
+from pipeline.scenes.outcome import HERE, Curve, Marchers, Outcome, Panel
 from pipeline.scenes.pits import CHARGE_NUMBER, STEEL_304, closing, outcome_of
 from pipeline.scenes.salt import film_fields, film_summary
 
@@ -150,6 +150,7 @@ def march_section(
     checkpoint: Path | None = None,
     resume: bool = False,
     progress: Callable[[float, str], None] | None = None,
+    by: Marchers = HERE,
 ) -> Outcome:
     """March a section and say what its pit is like, with the bonds that are broken.
 
@@ -157,7 +158,7 @@ def march_section(
     """
     result, transport = corrode_activated(
         scene, times, stepping, refused=kept, checkpoint=checkpoint, resume=resume,
-        progress=progress,
+        progress=progress, march_by=by.metal,
     )  # fmt: skip
     lattice, history = scene.lattice, result.history
     damage = BondDamage(

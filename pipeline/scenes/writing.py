@@ -5,18 +5,32 @@ from __future__ import annotations
 import csv
 import io
 import os
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from peri.corrosion.results import write_history
 from peri.engine.results import write_result
 from pipeline.record.run_folder import write_text
-from pipeline.scenes.outcome import Outcome, Panel
+from pipeline.scenes.outcome import Outcome, Panel, Prepared
 
 SCHEMA_VERSION = 1
 RESULT_FILE, HISTORY_FILE, SUMMARY_FILE = "result.h5", "history.csv", "summary.csv"
 PLOT_FILE, SERIES_FILE = "plot.png", "fields.pvd"
+
+
+def march_and_write(
+    folder: Path, name: str, prepared: Prepared, times: Sequence[float], **march: Any
+) -> tuple[list[Path], dict[str, object]]:
+    """March a scene to its times (s) and write it: the files, and the record's numbers.
+
+    march : as `outcome.March` takes it.  Numbers: value and unit by name, those that are finite.
+    """
+    outcome = prepared.march(times, **march)
+    paths = write_outcome(folder, name, outcome)
+    return paths, {n: [v, unit] for n, (v, unit) in outcome.summary.items() if abs(v) < np.inf}
 
 
 def write_outcome(folder: Path, name: str, outcome: Outcome) -> list[Path]:

@@ -305,17 +305,19 @@ class MetalAlone(CorrosionProblem):
         solver_tolerance: float = 1e-9,
         processes: OneProcess = ONE_PROCESS,
     ) -> None:
-        if scene.dissolution.name != "faradaic" or scene.saturation != "none":
+        super().__init__(scene, solver_tolerance, processes)
+        if self.scene.dissolution.name != "faradaic" or self.scene.saturation != "none":
             raise ValueError(
                 "dissolution: metal is marched alone by Faraday's law without saturation only"
             )
-        if scene.liquid is not None and scene.liquid.any():
+        if processes.any(self.scene.liquid is not None and self.scene.liquid.any()):
             raise ValueError("liquid: metal is marched alone in clean liquid only")
-        super().__init__(scene, solver_tolerance, processes)
 
     def key(self) -> str:
         """Hash of the scene, and of what is left out."""
-        return fingerprint(self._whole_scene, self.discrete.tolerance, "alone")
+        return self.processes.on_root(
+            lambda: fingerprint(self._whole_scene, self.discrete.tolerance, "alone")
+        )
 
     def stage(self, old: Fields, tau: float, guess: State) -> Stage:
         """See StageSolver.alone."""

@@ -144,7 +144,7 @@ class StageSolver:
         kept, more = None, 0.0
         if filled is not None:
             kept = filled.holds(d.take(y))
-            more = float((d.box_metal_volume * (kept - d.take(pores))).sum())
+            more = d.processes.total(float((d.box_metal_volume * (kept - d.take(pores))).sum()))
         # What an active node takes in is what the metal loses, to round-off.
         if d.processes.any(held.active.any()):
             metal = exchange.correct(metal, held.change(), saturated)
@@ -265,9 +265,9 @@ class StageSolver:
             follows += total(float((d.box_metal_volume * (metal - alone)).sum()))
         before = total(float((d.capacity * right.old)[d.free | d.metal].sum()))
         if right.pores is not None:
-            stored = float((right.pores.volume * d.take(y)).sum())
+            stored = total(float((right.pores.volume * d.take(y)).sum()))
             now, follows = now + stored, follows + stored
-            before += float(right.pores.before.sum())
+            before += total(float(right.pores.before.sum()))
         if follows > 0:
             y[d.free] *= min(2.0, max(0.5, 1.0 + (before - now) / follows))
 

@@ -75,7 +75,7 @@ def test_pin_and_plate_from_step_files(tmp_path, capsys, monkeypatch):
     file.write_text(SCENE.format(folder=tmp_path) + STRENGTH)
     pulled = []
 
-    def pull(points, cells, damage, material, settings):
+    def pull(points, cells, damage, material, settings, comm):
         """Stands for the tensile test, whose peak is not looked at here."""
         edges = points[cells[:, 1:]] - points[cells[:, :1]]
         pulled.append((damage, abs(np.linalg.det(edges)) / 6.0))

@@ -377,7 +377,7 @@ def test_what_belongs_to_another_command_is_refused(tmp_path, capsys):
     file.write_text(OWN)
     run = ["run", str(file), "--out", str(tmp_path / "run")]
     refused(capsys, [*run, "--alloy", "Mg-5Gd"], "--alloy is of a life cycle", "--spacing")
-    refused(capsys, [*run, "--ranks", "2"], "--ranks is of a life cycle")
+    refused(capsys, [*run, "--np", "2"], "--np is of a life cycle")
     refused(capsys, ["run", str(file)], "say where with --out DIR")
     refused(capsys, ["geometry", str(file), "--out", "x"], "must be life-cycle")
     refused(capsys, ["init", "--kind", "pitt"], "did you mean pit?")

@@ -11,7 +11,8 @@ from pipeline.scene.laws.feedback import FeedbackSettings
 from pipeline.scene.laws.ions import resolve_ions
 from pipeline.scene.resolve import resolve_scene
 from pipeline.stages.corrosion import corrode_in_folder
-from pipeline.stages.march_on_ranks import MarchError, corrode_on_ranks
+from pipeline.stages.march_on_ranks import corrode_on_ranks
+from pipeline.stages.on_ranks import MarchError
 from tests.pipeline.calibration.test_calibrate import COARSE, PIN
 
 RUN = ["--alloy", "Mg-10Gd", "--immersion", "0w", "2w", *PIN, "--spacing", "150um"]
