@@ -1,41 +1,21 @@
 """The same answer on one, two and four ranks."""
 
-import os
-import subprocess
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
+from tests.ranks import OnRanks
+
 pytest.importorskip("dolfinx")
-ROOT = Path(__file__).parents[2]
 
 
 BARS = ("axial:one", "axial:two", "torsion:one", "bending:one")
-"""Load and number of materials; one process, or one mpirun, pulls them all."""
+"""Load and number of materials; one start of ranks pulls them all."""
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     """Curves by job and name, for a number of ranks; each run once."""
-    found = {}
-
-    def curves(ranks, jobs):
-        if (ranks, jobs) not in found:
-            output = tmp_path_factory.mktemp("ranks") / "curves.npz"
-            command = [sys.executable, "-m", "tests.fem.parallel_run", str(output), *jobs]
-            if ranks > 1:
-                command = ["mpirun", "-n", str(ranks), *command]
-            environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
-            done = subprocess.run(
-                command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=300
-            )
-            assert done.returncode == 0, done.stderr[-2000:]
-            found[ranks, jobs] = np.load(output)
-        return found[ranks, jobs]
-
-    return curves
+    return OnRanks("tests.fem.parallel_run", tmp_path_factory.mktemp("ranks"))
 
 
 def check(run, bar, ranks, jobs, solver="mumps"):

@@ -1,10 +1,5 @@
 """Checkpoints and the ParaView series of a tensile test."""
 
-import os
-import subprocess
-import sys
-from pathlib import Path
-
 import h5py
 import numpy as np
 import pytest
@@ -15,18 +10,12 @@ from fem.results import Checkpoint, ParaviewSeries
 from fem.strength import TensileSettings, tensile_test
 from tests.fem.meshes import box
 from tests.fem.restart_run import MATERIAL, Interrupted, run, scene
-
-ROOT = Path(__file__).parents[2]
+from tests.ranks import run_on_ranks
 
 
 def on_two_ranks(element, mode, checkpoint, output):
     """restart_run.py under mpirun."""
-    command = ["mpirun", "-n", "2", sys.executable, "-m", "tests.fem.restart_run", element, mode]
-    done = subprocess.run(
-        [*command, str(checkpoint), str(output)], cwd=ROOT, capture_output=True, text=True,
-        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}, timeout=300,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr[-2000:]
+    run_on_ranks(2, "tests.fem.restart_run", element, mode, checkpoint, output)
 
 
 def check(resumed, whole, rtol):

@@ -1,6 +1,6 @@
 """Small couples to compare one process with MPI ranks; as a script it marches them on ranks.
 
-mpirun -n 2 python tests/peri/coupled/galvanic_rank_cases.py FILE.npz
+mpirun -n 2 python -m tests.peri.coupled.galvanic_rank_cases FILE.npz NAME...
 """
 
 import sys
@@ -85,8 +85,8 @@ TOLERANCE = 1e-11
 """Of the potential's charge balances."""
 
 
-def main(path: str) -> None:
-    """March everything on the ranks of the world; rank 0 writes the results."""
+def main(path: str, *names: str) -> None:
+    """March these on the ranks of the world, all without a name; rank 0 writes the results."""
     from mpi4py import MPI
 
     from peri.coupled.galvanic_ranks import corrode
@@ -100,7 +100,8 @@ def main(path: str) -> None:
             for field in (result.fields, result.history):
                 out.update({f"{name}/{key}": values for key, values in field.items()})
 
-    for name, (make, times, renewal) in MARCHES.items():
+    for name in names or MARCHES:
+        make, times, renewal = MARCHES[name]
         scene = make() if root else None
         keep(name, corrode(scene, times, renewal, solver_tolerance=TOLERANCE))
     make, times, renewal = MARCHES[STOPPED]
@@ -130,4 +131,4 @@ def main(path: str) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(*sys.argv[1:])

@@ -1,6 +1,6 @@
 """Small marches of metal and ions to compare one process with MPI ranks; as a script it runs them.
 
-mpirun -n 2 python tests/peri/coupled/rank_cases.py FILE.npz
+mpirun -n 2 python -m tests.peri.coupled.rank_cases FILE.npz NAME...
 """
 
 import dataclasses

@@ -1,11 +1,5 @@
 """Metal and ions on 1, 2 and 4 MPI ranks against one process."""
 
-import os
-import shutil
-import subprocess
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -13,8 +7,8 @@ from peri.engine.march.marching import March
 from peri.engine.processes import ONE_PROCESS
 from tests.peri.coupled import rank_cases
 from tests.peri.coupled.rank_cases import CASES, STOPPED, marched, problem_of
+from tests.ranks import OnRanks, needs_mpirun
 
-ROOT = Path(__file__).resolve().parents[3]
 FAST = ("rest", "goes")
 """Run on two ranks by default; with `slow` every case on 1, 2 and 4."""
 
@@ -27,7 +21,7 @@ ROUND_OFF = ("iterations", "balance", "balance_error", "element_error", "net_cha
 """What is not compared number by number; a free potential lets no charge through, either."""
 
 pytest.importorskip("petsc4py")
-pytestmark = pytest.mark.skipif(shutil.which("mpirun") is None, reason="mpirun is not installed")
+pytestmark = needs_mpirun
 
 slow = pytest.mark.slow
 RUNS = [
@@ -43,25 +37,8 @@ STOPS = [run for run in RUNS if run.values[0] in STOPPED]
 
 @pytest.fixture(scope="module")
 def on_ranks(tmp_path_factory):
-    """Results of rank_cases by number of ranks and cases, each run once; and the checkpoints."""
-    found = {}
-
-    def results(ranks, names):
-        if (ranks, names) not in found:
-            path = tmp_path_factory.mktemp("ranks") / f"{ranks}.npz"
-            environment = os.environ | {"NUMBA_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
-            command = [sys.executable, rank_cases.__file__, str(path), *names]
-            done = subprocess.run(
-                ["mpirun", "--oversubscribe", "-n", str(ranks), *command],
-                env=environment, capture_output=True, text=True, timeout=1500,
-            )  # fmt: skip
-            assert done.returncode == 0, done.stderr[-3000:]
-            checkpoints = {n: Path(f"{path}.{n}") for n in STOPPED if n in names}
-            found[ranks, names] = dict(np.load(path)), checkpoints
-            assert found[ranks, names][0]["ranks"] == ranks
-        return found[ranks, names]
-
-    return results
+    """Results of rank_cases by number of ranks and cases, each run once."""
+    return OnRanks(rank_cases.__name__, tmp_path_factory.mktemp("ranks"), timeout=1500.0)
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +57,8 @@ def alone():
 
 @pytest.mark.parametrize(("name", "ranks", "names"), RUNS)
 def test_ranks_find_what_one_process_does(name, ranks, names, on_ranks, alone):
-    arrays, expected = on_ranks(ranks, names)[0], alone(name)
+    arrays, expected = on_ranks(ranks, names), alone(name)
+    assert arrays["ranks"] == ranks
     # The state is not trivial: metal is lost, and what the case is for comes to pass.
     assert expected[f"{name}/history/volume_loss"][-1] > 1e-7
     if name in ("brucite", "calcite", "closed"):
@@ -113,7 +91,7 @@ def test_ranks_find_what_one_process_does(name, ranks, names, on_ranks, alone):
     [(2, FAST), *(pytest.param(n, tuple(CASES), marks=slow) for n in (1, 2, 4))],
 )
 def test_sums_and_errors_are_those_of_all_ranks(ranks, names, on_ranks):
-    arrays = on_ranks(ranks, names)[0]
+    arrays = on_ranks(ranks, names)
     whole = rank_cases.reductions(ONE_PROCESS, slice(0, None))
     assert arrays["reductions/said"].tolist() == [whole["said"]] * ranks
     assert arrays["reductions/first"].tolist() == [False] * (ranks - 1) + [True]
@@ -124,7 +102,7 @@ def test_sums_and_errors_are_those_of_all_ranks(ranks, names, on_ranks):
 
 @pytest.mark.parametrize(("name", "ranks", "names"), RUNS)
 def test_balances_hold_on_ranks(name, ranks, names, on_ranks, alone):
-    arrays = on_ranks(ranks, names)[0]
+    arrays = on_ranks(ranks, names)
     assert arrays[f"{name}/balance"].max() < 1e-10
     assert arrays[f"{name}/net_charge"].max() < 1e-12
     assert arrays[f"{name}/lowest"].min() > 0
@@ -138,15 +116,16 @@ def test_balances_hold_on_ranks(name, ranks, names, on_ranks, alone):
 def test_a_checkpoint_of_ranks_is_resumed_there_and_in_one_process(
     name, ranks, names, on_ranks, alone
 ):
-    arrays, checkpoints = on_ranks(ranks, names)
+    arrays = on_ranks(ranks, names)
     reports = np.array([STOPPED[name]] + [0] * (ranks - 1))
     np.testing.assert_array_equal(arrays[f"stopped/{name}"], reports)
     for key in alone(name):
         np.testing.assert_array_equal(arrays[f"resumed/{key}"], arrays[key], err_msg=key)
     problem = problem_of(name)
     done: March = marched(
-        name, problem, checkpoint=checkpoints[name], resume=True, checkpoint_every=1e9
-    )
+        name, problem, resume=True, checkpoint_every=1e9,
+        checkpoint=on_ranks.file(ranks, names, f".{name}"),
+    )  # fmt: skip
     expected = alone(name)[f"{name}/history/volume_loss"]
     assert len(done.history["time"]) == len(expected)
     np.testing.assert_allclose(done.history["volume_loss"], expected, rtol=0, atol=1e-11)

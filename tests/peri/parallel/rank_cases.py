@@ -1,6 +1,6 @@
 """Small marches to compare one process with MPI ranks; as a script it runs them on ranks.
 
-mpirun -n 2 python tests/peri/parallel/rank_cases.py FILE.npz
+mpirun -n 2 python -m tests.peri.parallel.rank_cases FILE.npz
 """
 
 import sys
@@ -75,6 +75,16 @@ def gap_scene() -> CorrosionScene:
     return gap(pores=False)
 
 
+def alone_scene() -> CorrosionScene:
+    """2D: metal that is marched without its liquid, by Faraday's law."""
+    lattice = box_lattice((0.0, 0.0), (2.4e-3, 2.0e-3), 1e-4)
+    return CorrosionScene(
+        lattice, 2e-4, ball(lattice, (1.0e-3, 0.9e-3), 5e-4), saturation="none",
+        solid_concentration=1000.0, saturation_concentration=100.0, liquid_diffusivity=1e-9,
+        dissolution_flux=1e-6, dissolution="faradaic",
+    )  # fmt: skip
+
+
 @lru_cache
 def end_of_ball() -> tuple[Lattice, CellExposure]:
     """A ball of 1.2 horizons with rate classes at one end of a lattice: a block has no metal."""
@@ -118,6 +128,13 @@ MARCHES = {
     "closed": (closed_scene, (2 * DAY,), TimeStepping("backward_euler", step=DAY)),
     "line": (line_scene, (0.0, 60.0), TimeStepping("sdirk2", step=10.0)),
     "gap": (gap_scene, (400.0,), TimeStepping("backward_euler", step=100.0)),
+    "pores": (gap, (3e3,), TimeStepping("backward_euler", step=500.0)),
+    "pores-closed": (
+        partial(gap, boundary="no_flux", renewed=None),
+        (4e3,),
+        TimeStepping("backward_euler", step=2e3),
+    ),
+    "alone": (alone_scene, (1.5 * DAY,), TimeStepping("backward_euler", step=0.25 * DAY)),
 }
 # Every law of the rate with every law of the bonds.
 MARCHES |= {
@@ -135,12 +152,15 @@ MARCHES |= {
 }
 
 
-def tolerance(name: str) -> float:
-    """Of a march's linear solutions; those of saturated classes enter their factors, too."""
-    return 1e-12 if name in CLASSES else SOLVER_TOLERANCE
+def options(name: str) -> dict[str, object]:
+    """How a march is made: its solver's tolerance (of saturated classes, whose factors know it,
+    and of what pores hold, which is metal's), and whether without its liquid."""
+    exact = name in CLASSES or name.startswith("pores")
+    tolerance = 1e-12 if exact else SOLVER_TOLERANCE
+    return {"solver_tolerance": tolerance, "alone": name == "alone"}
 
 
-STOPPED = {"line": 3, "classes-faradaic": 3}
+STOPPED = {"line": 3, "pores": 3, "classes-faradaic": 3}
 """Marches that are stopped at so many reports."""
 STIFFNESSES = (1.0, 1e3, 1e6)
 
@@ -206,9 +226,7 @@ def main(path: str) -> None:
     comm, out = MPI.COMM_WORLD, {}
     root = comm.rank == 0
     for name, (make, times, stepping) in MARCHES.items():
-        result = corrode(
-            make() if root else None, times, stepping, solver_tolerance=tolerance(name)
-        )
+        result = corrode(make() if root else None, times, stepping, **options(name))
         if root:
             for field in ("concentration", "metal", "volume_loss"):
                 out[f"{name}/{field}"] = getattr(result, field)
@@ -236,18 +254,14 @@ def main(path: str) -> None:
             if len(calls) == reports:
                 raise InterruptedError
 
-        options = {"solver_tolerance": tolerance(name), "checkpoint": f"{path}.{name}"}
+        how = {**options(name), "checkpoint": f"{path}.{name}"}
         try:
-            corrode(scene, times, stepping, progress=stop, checkpoint_every=0.0, **options)
+            corrode(scene, times, stepping, progress=stop, checkpoint_every=0.0, **how)
         except InterruptedError:
             out[f"stopped/{name}"] = comm.gather(len(calls))
-        result = corrode(scene, times, stepping, resume=True, checkpoint_every=1e9, **options)
+        result = corrode(scene, times, stepping, resume=True, checkpoint_every=1e9, **how)
         if root:
             out[f"resumed/{name}"] = result.concentration
-    try:
-        corrode(gap() if root else None, (1.0,))
-    except ValueError as error:
-        out["pores"] = str(error)
     # Blocks narrower than the reach.
     lattice = box_lattice((0.0,), (3e-6,), 1e-6)
     small = replace(line_scene(), lattice=lattice, metal=np.zeros(3, bool), domain=None)

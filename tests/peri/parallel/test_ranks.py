@@ -1,10 +1,4 @@
-"""The march on 1, 2 and 4 MPI ranks against the embedded solver."""
-
-import os
-import shutil
-import subprocess
-import sys
-from pathlib import Path
+"""The march on 4 MPI ranks, with `slow` on 1 and 2 as well, against the embedded solver."""
 
 import numpy as np
 import pytest
@@ -13,41 +7,25 @@ from peri.corrosion import corrode
 from peri.corrosion.metal.bond_damage import BondDamage
 from peri.engine.processes import share_out, work_per_plane
 from tests.peri.parallel import rank_cases
+from tests.ranks import OnRanks, needs_mpirun
 
-ROOT = Path(__file__).resolve().parents[3]
-RANKS = (1, 2, 4)
+RANKS = (4, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 2)))
+"""Four have blocks beside one another along two axes; two share theirs in the couples' tests."""
 
 pytest.importorskip("petsc4py")
-needs_mpirun = pytest.mark.skipif(shutil.which("mpirun") is None, reason="mpirun is not installed")
 
 
 @pytest.fixture(scope="module")
 def on_ranks(tmp_path_factory):
     """Results of rank_cases by number of ranks, each run once."""
-    found = {}
-
-    def results(ranks):
-        if ranks not in found:
-            path = tmp_path_factory.mktemp("ranks") / f"{ranks}.npz"
-            environment = os.environ | {"NUMBA_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
-            script = ROOT / "tests" / "peri" / "parallel" / "rank_cases.py"
-            done = subprocess.run(
-                ["mpirun", "--oversubscribe", "-n", str(ranks), sys.executable, script, path],
-                env=environment, capture_output=True, text=True, timeout=300,
-            )  # fmt: skip
-            assert done.returncode == 0, done.stderr[-3000:]
-            checkpoints = {name: Path(f"{path}.{name}") for name in rank_cases.STOPPED}
-            found[ranks] = dict(np.load(path)), checkpoints
-        return found[ranks]
-
-    return results
+    return OnRanks(rank_cases.__name__, tmp_path_factory.mktemp("ranks"))
 
 
 @pytest.fixture(scope="module")
 def embedded():
     """Results of the same marches in this process."""
     return {
-        name: corrode(make(), times, stepping, solver_tolerance=rank_cases.tolerance(name))
+        name: corrode(make(), times, stepping, **rank_cases.options(name))
         for name, (make, times, stepping) in rank_cases.MARCHES.items()
     }
 
@@ -56,14 +34,15 @@ def embedded():
 @pytest.mark.parametrize("ranks", RANKS)
 @pytest.mark.parametrize("name", rank_cases.MARCHES)
 def test_march_agrees_with_the_embedded_solver(name, ranks, on_ranks, embedded):
-    arrays, expected = on_ranks(ranks)[0], embedded[name]
+    arrays, expected = on_ranks(ranks), embedded[name]
     solid = expected.scene.solid_concentration
     # The state is not trivial: metal is lost, liquid is reached.
     assert expected.volume_loss[-1] > 0.01
-    assert expected.concentration[-1][~expected.scene.metal].max() > 1e-6 * solid
-    if name in ("closed", "classes-inhibited", "classes-faradaic"):
+    reached = expected.concentration[-1][~expected.scene.metal].max() > 1e-6 * solid
+    assert reached != (name == "alone")
+    if name in ("closed", "pores", "pores-closed", "classes-inhibited", "classes-faradaic"):
         assert expected.history["saturated_nodes"].max() > 0
-    if name in ("line", "classes-aged", "classes-faradaic"):
+    if name in ("line", "pores", "alone", "classes-aged", "classes-faradaic"):
         assert expected.history["dissolved_nodes"].sum() > 0
     # the solver's tolerance: measured at most 9e-14, 4e-13, 3e-16 of it (ball, closed, line)
     difference = np.abs(arrays[f"{name}/concentration"] - expected.concentration)
@@ -78,7 +57,7 @@ def test_march_agrees_with_the_embedded_solver(name, ranks, on_ranks, embedded):
 @pytest.mark.parametrize("ranks", RANKS)
 @pytest.mark.parametrize("name", rank_cases.MARCHES)
 def test_amounts_and_iterations_of_the_march(name, ranks, on_ranks, embedded):
-    arrays, expected = on_ranks(ranks)[0], embedded[name].history
+    arrays, expected = on_ranks(ranks), embedded[name].history
     # round-off, as the stages close their balance: measured 2e-16
     assert np.abs(arrays[f"{name}/history/balance_error"]).max() < 1e-14
     for field in ("time", "saturated_nodes", "dissolved_nodes"):
@@ -91,55 +70,55 @@ def test_amounts_and_iterations_of_the_march(name, ranks, on_ranks, embedded):
     # the same smoothing, another path through the levels: measured 84 to 90 against 85, and
     # 61 and 132 as embedded
     iterations = arrays[f"{name}/history/iterations"].sum()
-    assert 0 < iterations <= 1.15 * expected["iterations"].sum()
+    assert (iterations > 0) != (name == "alone")
+    assert iterations <= 1.15 * expected["iterations"].sum()
 
 
 @needs_mpirun
+@pytest.mark.parametrize("ranks", RANKS)
 @pytest.mark.parametrize("stiffness", rank_cases.STIFFNESSES)
-def test_diffusion_system_on_ranks(stiffness, on_ranks):
+def test_diffusion_system_on_ranks(stiffness, ranks, on_ranks):
     """One linear system: the same solution, and iterations that ranks and stiffness bound."""
     expected, alone = rank_cases.solve(
         *rank_cases.diffusion_system(rank_cases.ball_scene(), stiffness=stiffness)
     )
     assert np.abs(expected).max() > 0
-    for ranks in RANKS:
-        arrays = on_ranks(ranks)[0]
-        x, count = arrays[f"diffusion/{stiffness:g}"], arrays[f"diffusion/{stiffness:g}/iterations"]
-        # relative residual 1e-10: measured 5.3e-11
-        np.testing.assert_allclose(x, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
-        # measured 11 to 14, embedded 11 and 13
-        assert 5 <= count <= alone + 3
+    arrays = on_ranks(ranks)
+    x, count = arrays[f"diffusion/{stiffness:g}"], arrays[f"diffusion/{stiffness:g}/iterations"]
+    # relative residual 1e-10: measured 5.3e-11
+    np.testing.assert_allclose(x, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+    # measured 11 to 14, embedded 11 and 13
+    assert 5 <= count <= alone + 3
 
 
 @needs_mpirun
+@pytest.mark.parametrize("ranks", RANKS)
 @pytest.mark.parametrize("name", rank_cases.OPERATORS)
-def test_bonds_of_all_kinds_on_ranks(name, on_ranks):
+def test_bonds_of_all_kinds_on_ranks(name, ranks, on_ranks):
     """One linear system of each kind of bond, symmetric or not, as in one process."""
     scene = rank_cases.ball_scene()
     expected, alone = rank_cases.solve(*rank_cases.bond_system(name, scene))
     assert np.abs(expected).max() > 0
-    for ranks in RANKS:
-        arrays = on_ranks(ranks)[0]
-        x, count = arrays[f"bonds/{name}"], arrays[f"bonds/{name}/iterations"]
-        # relative residual 1e-10
-        np.testing.assert_allclose(x, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
-        assert 3 <= count <= alone + 4
+    arrays = on_ranks(ranks)
+    x, count = arrays[f"bonds/{name}"], arrays[f"bonds/{name}/iterations"]
+    # relative residual 1e-10
+    np.testing.assert_allclose(x, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
+    assert 3 <= count <= alone + 4
 
 
 @needs_mpirun
+@pytest.mark.parametrize("ranks", RANKS)
 @pytest.mark.parametrize("name", rank_cases.STOPPED)
-def test_checkpoint_of_ranks_resumes_there_and_in_one_process(name, on_ranks, embedded):
-    for ranks in RANKS:
-        arrays, checkpoints = on_ranks(ranks)
-        # What rank 0 raised in a report reached the others, which report nothing.
-        reports = [rank_cases.STOPPED[name]] + [0] * (ranks - 1)
-        np.testing.assert_array_equal(arrays[f"stopped/{name}"], reports)
-        np.testing.assert_array_equal(arrays[f"resumed/{name}"], arrays[f"{name}/concentration"])
-    arrays, checkpoints = on_ranks(2)
+def test_checkpoint_of_ranks_resumes_there_and_in_one_process(name, ranks, on_ranks, embedded):
+    arrays = on_ranks(ranks)
+    # What rank 0 raised in a report reached the others, which report nothing.
+    reports = [rank_cases.STOPPED[name]] + [0] * (ranks - 1)
+    np.testing.assert_array_equal(arrays[f"stopped/{name}"], reports)
+    np.testing.assert_array_equal(arrays[f"resumed/{name}"], arrays[f"{name}/concentration"])
     make, times, stepping = rank_cases.MARCHES[name]
     resumed = corrode(
-        make(), times, stepping, solver_tolerance=rank_cases.tolerance(name),
-        checkpoint=checkpoints[name], resume=True, checkpoint_every=1e9,
+        make(), times, stepping, **rank_cases.options(name), resume=True, checkpoint_every=1e9,
+        checkpoint=on_ranks.file(ranks, ending=f".{name}"),
     )  # fmt: skip
     expected = embedded[name]
     assert len(resumed.history["time"]) == len(expected.history["time"])
@@ -149,20 +128,22 @@ def test_checkpoint_of_ranks_resumes_there_and_in_one_process(name, on_ranks, em
 
 
 @needs_mpirun
-def test_blocks_narrower_than_the_reach_are_refused(on_ranks):
-    assert "refusal" not in on_ranks(1)[0]
-    for ranks in (2, 4):
-        assert str(on_ranks(ranks)[0]["refusal"]) == (
-            f"ranks: {ranks} for a lattice of 3 nodes; every rank's block must be at least as "
-            "wide as the stencil reaches, 2 nodes, so use fewer"
-        )
+@pytest.mark.parametrize("ranks", RANKS)
+def test_blocks_narrower_than_the_reach_are_refused(ranks, on_ranks):
+    if ranks == 1:
+        assert "refusal" not in on_ranks(ranks)
+        return
+    assert str(on_ranks(ranks)["refusal"]) == (
+        f"ranks: {ranks} for a lattice of 3 nodes; every rank's block must be at least as "
+        "wide as the stencil reaches, 2 nodes, so use fewer"
+    )
 
 
 @needs_mpirun
 @pytest.mark.parametrize("ranks", RANKS)
 def test_broken_bonds_are_those_of_one_process(ranks, on_ranks, embedded):
     """One hashed number a bond: the same bonds to the last one, whoever computed the loss."""
-    result, arrays = embedded["ball"], on_ranks(ranks)[0]
+    result, arrays = embedded["ball"], on_ranks(ranks)
     scene = result.scene
     damage = BondDamage(
         scene.lattice, scene.horizon, scene.metal, scene.solid_concentration,
@@ -177,14 +158,6 @@ def test_broken_bonds_are_those_of_one_process(ranks, on_ranks, embedded):
         found.append(damage.damage_index(share))
     assert 0.05 < np.nanmean(found[0][scene.metal]) < 0.95
     np.testing.assert_array_equal(*found)
-
-
-@needs_mpirun
-def test_what_is_computed_in_one_process_is_refused(on_ranks):
-    for ranks in RANKS:
-        assert str(on_ranks(ranks)[0]["pores"]) == (
-            "pores: their liquid is computed in one process, not on ranks"
-        )
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 import csv
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -20,8 +19,8 @@ from tests.pipeline.processes import survivors
 from tests.pipeline.scenes.test_implants import SCENE as IMPLANT
 from tests.pipeline.scenes.test_implants import step_files
 from tests.pipeline.scenes.test_scene_files import IONS, OWN
+from tests.ranks import needs_mpirun
 
-needs_mpirun = pytest.mark.skipif(shutil.which("mpirun") is None, reason="mpirun is not installed")
 slow = pytest.mark.slow
 
 OPEN = ("left open",)
