@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import csv
 import hashlib
 import json
 import sys
@@ -211,9 +212,10 @@ def _run(
             checkpoint.unlink(missing_ok=True)
             progress.finished(key, seconds)
     say(f"{scene.name} after {scene.times[-1].label}")
-    for line in (folder.path / SUMMARY_FILE).read_text(encoding="utf-8").splitlines()[1:]:
-        quantity, value, unit = line.rsplit(",", 2)
-        say(f"  {quantity.strip(chr(34)):42s} {in_words(float(value), unit)}")
+    with (folder.path / SUMMARY_FILE).open(newline="", encoding="utf-8") as table:
+        for row in csv.DictReader(table):
+            said = in_words(float(row["value"]), row["unit"])
+            say(f"  {row['quantity']:42s} {said}")
     assumed = ", ".join(prepared.assumed)
     if assumed:
         say(f"assumed: {assumed}")
