@@ -11,6 +11,8 @@ import logging
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -201,6 +203,20 @@ def published_screw(alloy: str, m: int, spacing: float = 50e-6):
     )
 
 
+@contextmanager
+def _measured(comm) -> Iterator[dict]:
+    """What the block costs, on all ranks of a communicator, or in this process (None)."""
+    idle, start, begun, found = peak_memory(), time.perf_counter(), time.process_time(), {}
+    yield found
+    own = (time.process_time() - begun, peak_memory(), peak_memory() - idle)
+    found["seconds"] = time.perf_counter() - start
+    every = [own] if comm is None else comm.gather(own)
+    if every is not None:
+        processor, peaks, grown = zip(*every, strict=True)
+        found["processor_seconds"], found["peak_bytes"] = sum(processor), sum(peaks)
+        found["rank_bytes"], found["rank_field_bytes"] = list(peaks), list(grown)
+
+
 def ball_march(spacing: float, steps: int, petsc: bool) -> dict | None:
     """Fixed steps of a cylinder in a liquid ball, embedded or over PETSc on the ranks."""
     from peri.corrosion.kinetics import VolumeLossLaw
@@ -209,13 +225,12 @@ def ball_march(spacing: float, steps: int, petsc: bool) -> dict | None:
     from peri.engine.lattice import ball, box_lattice, cylinder
     from peri.engine.march.marching import TimeStepping
 
-    march, root = corrode, True
+    march, comm = corrode, None
     if petsc:
-        from mpi4py import MPI
+        from mpi4py.MPI import COMM_WORLD as comm
 
-        from peri.parallel.ranks import corrode as march
-
-        root = MPI.COMM_WORLD.rank == 0
+        from peri.corrosion.ranks import corrode as march
+    root = comm is None or comm.rank == 0
 
     def scene(spacing: float):
         lattice = box_lattice((-BALL_RADIUS,) * 3, (BALL_RADIUS,) * 3, spacing)
@@ -228,21 +243,55 @@ def ball_march(spacing: float, steps: int, petsc: bool) -> dict | None:
 
     stepping = TimeStepping("sdirk2", step=DAY)
     march(scene(4e-4) if root else None, [DAY], stepping)  # compiles
-    whole = scene(spacing) if root else None
-    start = time.perf_counter()
-    result = march(whole, [steps * DAY], stepping)
-    seconds = time.perf_counter() - start
-    peak = peak_memory()
-    if petsc:
-        peak = MPI.COMM_WORLD.reduce(peak, MPI.SUM, root=0)
+    with _measured(comm) as costs:
+        whole = scene(spacing) if root else None
+        result = march(whole, [steps * DAY], stepping)
     if not root:
         return None
     return {
+        **costs,
         "nodes": int(whole.domain.sum()),
-        "seconds": seconds,
         "iterations": int(result.history["iterations"].sum()),
         "volume_loss": float(result.volume_loss[-1]),
-        "peak_bytes": peak,
+    }
+
+
+def ion_march(spacing: float, steps: int, petsc: bool) -> dict | None:
+    """Steps of 3 h of metal in body fluid, three minerals and the potential; as ball_march."""
+    from peri.engine.march.marching import TimeStepping
+    from peri.engine.march.marching import march as march_problem
+    from peri.engine.processes import ONE_PROCESS
+    from pipeline.benches.ions import STEP, problem_of, scene_of
+
+    comm = None
+    if petsc:
+        from mpi4py.MPI import COMM_WORLD as comm
+
+        from peri.parallel.ranks import Ranks
+    root = comm is None or comm.rank == 0
+
+    def march(spacing: float, steps: int) -> tuple:
+        scene = scene_of(spacing) if root else None
+        ranks = ONE_PROCESS
+        if petsc:
+            ranks = Ranks(comm, *((scene.stencil, scene.domain) if root else (None, None)))
+        problem = problem_of(scene, True, "electroneutral", ranks)
+        stepping = TimeStepping("backward_euler", step=STEP)
+        done = march_problem(problem, [STEP * steps], stepping)
+        if petsc:
+            ranks.close()
+        return scene, done
+
+    march(180e-6, 1)  # compiles
+    with _measured(comm) as costs:
+        scene, done = march(spacing, steps)
+    if not root:
+        return None
+    return {
+        **costs,
+        "nodes": int(scene.domain.sum()),
+        "iterations": int(done.history["iterations"].sum()),
+        "volume_loss": float(done.history["volume_loss"][-1]),
     }
 
 
@@ -272,6 +321,7 @@ CASES = {
     "solve": solve,
     "screw_march": screw_march,
     "ball_march": ball_march,
+    "ion_march": ion_march,
     "image_to_solid": image_to_solid,
 }
 

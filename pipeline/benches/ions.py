@@ -19,6 +19,7 @@ from peri.corrosion.scene import CorrosionScene
 from peri.coupled.degradation import Degradation
 from peri.engine.lattice import ball, box_lattice, cylinder
 from peri.engine.march.marching import March, TimeStepping, march
+from peri.engine.processes import ONE_PROCESS, OneProcess
 from peri.transport.nernst_planck import TransportOptions
 from pipeline.benches.result import Result
 from pipeline.scene.laws.ions import resolve_ions
@@ -55,8 +56,13 @@ def scene_of(spacing: float, horizon: float = 180e-6) -> CorrosionScene:
     )
 
 
-def problem_of(scene: CorrosionScene, minerals: bool, closure: str) -> Degradation:
-    """The joined problem in SBF, with three minerals or none."""
+def problem_of(
+    scene: CorrosionScene | None,
+    minerals: bool,
+    closure: str,
+    processes: OneProcess = ONE_PROCESS,
+) -> Degradation:
+    """The joined problem in SBF, with three minerals or none; the scene is the root's."""
     names = ["brucite", "calcite", "hydroxyapatite"] if minerals else []
     ions = resolve_ions(minerals=names, closure=closure)
     chemistry = dict(ions.chemistry)
@@ -65,7 +71,8 @@ def problem_of(scene: CorrosionScene, minerals: bool, closure: str) -> Degradati
         for n, m in chemistry["minerals"].items()
     }
     medium = medium_of(dataclasses.replace(ions, chemistry=chemistry))
-    return Degradation(scene, medium, TransportOptions(closure=closure), minerals=True)
+    options = TransportOptions(closure=closure)
+    return Degradation(scene, medium, options, processes=processes, minerals=True)
 
 
 def _steps(problem: Degradation, steps: int) -> tuple[list[float], list[float], March]:

@@ -20,6 +20,7 @@ from pipeline.benches import galvanic as bench_galvanic
 from pipeline.benches import ions as bench_ions
 from pipeline.benches import localised as bench_localised
 from pipeline.benches import operators as bench_operators
+from pipeline.benches import ranks as bench_ranks
 from pipeline.benches import tensile as bench_tensile
 from pipeline.benches.result import Result
 from pipeline.record import machine
@@ -245,6 +246,11 @@ BENCHMARKS: dict[str, Benchmark] = {
         "what a newcomer meets: times, memory, and other programs' answers (4 minutes)",
         bench_friendliness.friendliness,
         bench_friendliness.small_friendliness,
+    ),
+    "ranks": Benchmark(
+        "a march of metal and one with ions in one process, on 1 and 2 MPI ranks (2 minutes)",
+        bench_ranks.ranks,
+        bench_ranks.small_ranks,
     ),
     "scaling": Benchmark(
         "cost and memory from 1e4 to 1e7 nodes, threads 1 and 2, ranks 1, 2 and 4",
