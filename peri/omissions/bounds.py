@@ -118,7 +118,19 @@ def least_loss(
     return first * left
 
 
-def dissolving_bound(scene: CorrosionScene, end_time: float, problem: Cells) -> tuple[int, float]:
+def left_after(problem: Cells, seen: np.ndarray) -> np.ndarray:
+    """Volumes (n,) that are left of classes that have seen G z (n,) in clean liquid."""
+    scene = problem.scene
+    life = 1.0 - seen / scene.dissolution.lifetime(scene)
+    return problem.left(scene.solid_concentration * np.exp(-seen), life)
+
+
+def dissolving_bound(
+    scene: CorrosionScene,
+    end_time: float,
+    problem: Cells,
+    reduced: ReducedCorrosion | None = None,
+) -> tuple[int, float]:
     """What classes that dissolve change in V_L in clean liquid, relative, and how many they are.
 
     Frozen rates G (`reduced`) hold until z_1, when the first class begins to go (z the integral of
@@ -130,34 +142,31 @@ def dissolving_bound(scene: CorrosionScene, end_time: float, problem: Cells) -> 
 
     and by 2 d at equal times: a kinetics that only slows makes up for what is lost too early, z
     lags by what d is worth, and the loss is concave in z.  V_L is at least that at z_1.  The state
-    is one function of z in any case, whatever D_int and the kinetics.
+    is one function of z in any case, whatever D_int and the kinetics.  `reduced`: the scene's,
+    where the caller has it.
 
     Returns
     -------
     int, float
         Classes that begin to go by the end; 2 d / V_L(z_1), infinite where it does not settle.
     """
-    reduced = ReducedCorrosion.of(scene)
+    reduced = reduced or ReducedCorrosion.of(scene)
     found = reduced.volume_loss(
         scene.bare_time([end_time]), scene.base_interface_diffusivity(), factor_of(scene.kinetics)
     )
     end, rates, volume = float(found.exposure[0]), problem.initial_bond_sum, problem.initial_volume
-
-    def left(seen: np.ndarray) -> np.ndarray:
-        life = 1.0 - seen / scene.dissolution.lifetime(scene)
-        return problem.left(scene.solid_concentration * np.exp(-seen), life)
-
-    remaining = left(rates * end)
+    remaining = left_after(problem, rates * end)
     count = int((remaining < volume).sum())
     if not count:
         return 0, 0.0
     early, late = 0.0, end
     for _ in range(20):
         middle = 0.5 * (early + late)
-        early, late = (early, middle) if (left(rates * middle) < volume).any() else (middle, late)
+        begun = (left_after(problem, rates * middle) < volume).any()
+        early, late = (early, middle) if begun else (middle, late)
     most, gone = rates, 0.0
     for _ in range(_ROUNDS):
-        remaining = left(most * end)
+        remaining = left_after(problem, most * end)
         before, gone = gone, float((volume - remaining).sum())
         later = problem.moved(remaining)
         if gone - before <= _SETTLED * gone:

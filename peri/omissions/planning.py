@@ -10,10 +10,12 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import distance_transform_edt
 
 from peri.corrosion.classes.cells import Cells
@@ -31,12 +33,18 @@ from peri.omissions.bounds import (
     least_loss,
     metal_at_risk,
 )
+from peri.omissions.held_back import held_back
 from peri.omissions.names import COARSE_LIQUID, FAR_LIQUID, LIQUID, OMITTABLE, SOLID_CORE
+from peri.omissions.reduced import ReducedCorrosion
 from peri.omissions.well_stirred import well_stirred
 
 log = logging.getLogger(__name__)
 
 Discrete = BiMaterial | Cells
+
+_HOPELESS = 5.0
+"""Of C_sat: liquid that would rise beyond it stays saturated until so much is held back that the
+liquid counts; it is not looked at how much (tenths of V_L, where it was)."""
 
 
 def _discrete(scene: CorrosionScene) -> Discrete:
@@ -95,35 +103,61 @@ def liquid_bound(scene: CorrosionScene, problem: Discrete | None = None) -> np.n
     return 1.0001 * np.maximum(problem.sum.crop(steady), 0.0)
 
 
+@dataclass(frozen=True)
+class _Asked:
+    """What a plan is for: a scene, the times at which V_L is wanted (s), and what is allowed."""
+
+    scene: CorrosionScene
+    problem: Discrete
+    times: NDArray[np.float64]
+    tolerance: float
+    refused: Collection[str]
+
+    @property
+    def end(self) -> float:
+        """The last time, s."""
+        return float(self.times.max())
+
+    @cached_property
+    def reduced(self) -> ReducedCorrosion:
+        """The scene in clean liquid."""
+        nodes = None if isinstance(self.problem, Cells) else self.problem
+        return ReducedCorrosion.of(self.scene, nodes)
+
+
 def plan_omissions(
     scene: CorrosionScene,
-    end_time: float,
+    times: ArrayLike,
     tolerance: float = DEFAULT_TOLERANCE,
     refused: Collection[str] = (),
 ) -> list[Omission]:
-    """What the march to `end_time` (s) can leave out within `tolerance` of V_L.
+    """What the march to the last of `times` (s) can leave out within `tolerance` of V_L at each.
 
     Raises
     ------
     ValueError
         For a tolerance outside [0, 1) or an unknown name in `refused`.
     """
-    return _plan(scene, _discrete(scene), end_time, tolerance, refused)[0]
+    return _plan(_asked(scene, times, tolerance, refused))[0]
 
 
-def _plan(
-    scene: CorrosionScene,
-    problem: Discrete,
-    end_time: float,
-    tolerance: float,
-    refused: Collection[str],
-) -> tuple[list[Omission], np.ndarray]:
-    """The omissions, and the domain without the liquid that they leave out."""
+def _asked(
+    scene: CorrosionScene, times: ArrayLike, tolerance: float, refused: Collection[str]
+) -> _Asked:
     check_request(tolerance, refused, OMITTABLE)
+    wanted = np.atleast_1d(np.asarray(times, float))
+    return _Asked(scene, _discrete(scene), wanted, tolerance, refused)
+
+
+def _plan(asked: _Asked) -> tuple[list[Omission], np.ndarray]:
+    """The omissions, and the domain without the liquid that they leave out."""
+    scene = asked.scene
     distance = distance_transform_edt(~scene.metal, sampling=scene.lattice.spacing)
-    far, domain = _far_liquid(scene, problem, distance, end_time, tolerance, refused)
-    liquid = _liquid(scene, problem, end_time, tolerance, refused)
-    return [_solid_core(scene, end_time), liquid, far, _coarse_liquid(scene, distance)], domain
+    far, domain = _far_liquid(asked, distance)
+    omissions = [
+        _solid_core(scene, asked.end), _liquid(asked), far, _coarse_liquid(scene, distance)
+    ]  # fmt: skip
+    return omissions, domain
 
 
 def _solid_core(scene: CorrosionScene, end_time: float) -> Omission:
@@ -156,15 +190,14 @@ def _coarse_liquid(scene: CorrosionScene, distance: np.ndarray) -> Omission:
     return Omission(COARSE_LIQUID, reason, math.inf, False)
 
 
-def _far_liquid(
-    scene, problem, distance, end_time, tolerance, refused
-) -> tuple[Omission, np.ndarray]:
+def _far_liquid(asked: _Asked, distance: np.ndarray) -> tuple[Omission, np.ndarray]:
     """Liquid that too little solute reaches by the end; also the domain without it.
 
     Cutting at a distance a changes the amounts by at most what gets there: with C the highest
     concentration in the liquid and p = arrival_bound(a), C p (t D sum w per node next to the cut
     + 1 per node beyond it), relative to the least that the metal loses.
     """
+    scene, end_time = asked.scene, asked.end
     if scene.boundary != "refreshed":
         return _far_needed("a closed edge sends solute back, and there is no bound"), scene.domain
     liquid = scene.domain & ~scene.metal
@@ -173,7 +206,7 @@ def _far_liquid(
         highest = scene.solid_concentration
     least = 0.0
     if scene.never_speeds_up:
-        least = least_loss(scene, end_time, problem)
+        least = least_loss(scene, end_time, asked.problem)
     reach = float(np.max(np.multiply(scene.stencil.reach, scene.stencil.spacing)))
     if not least > 0 or not liquid.any() or not scene.metal.any():
         return _far_needed("there is no bound of what the metal loses at least"), scene.domain
@@ -190,7 +223,7 @@ def _far_liquid(
         share = arrival_bound(scene, cut - 3.0 * reach, end_time)
         contents = float(contents_of[n + 1 :].sum() + exchange * contents_of[n])
         bound = highest * share * contents / scale
-        if bound <= tolerance:
+        if bound <= asked.tolerance:
             beyond = np.zeros_like(liquid)
             beyond[liquid] = shell > n
             omission = Omission(
@@ -199,7 +232,7 @@ def _far_liquid(
                 f"{1e6 * cut:.3g} um from the metal, where at most {share:.1e} of the highest "
                 "concentration arrives by the end: what lies there, refreshed or not, is left out",
                 bound,
-                FAR_LIQUID not in refused,
+                FAR_LIQUID not in asked.refused,
             )
             return omission, scene.domain & ~beyond
     reason = "solute may reach the domain's edge by the end"
@@ -210,60 +243,70 @@ def _far_needed(reason: str) -> Omission:
     return Omission(FAR_LIQUID, f"needed: {reason}", math.inf, False)
 
 
-def _liquid(scene, problem, end_time, tolerance, refused) -> Omission:
+def _liquid(asked: _Asked) -> Omission:
     """Clean liquid instead of a computed one.
 
     In stretched time ds = g dt, C_i' = -lambda_i (C_i - mean of C_liquid), so with
     eps = max C_liquid / C_solid each node's loss differs by at most the share eps; a kinetics
-    that only slows with V_L keeps V_L(t) within eps / (1 - eps) of the clean-liquid value.
+    that only slows with V_L keeps V_L(t) within eps / (1 - eps) of the clean-liquid value.  What
+    saturated liquid holds back (of rate classes: held_back) and what dissolves comes on top.
     """
+    scene, problem = asked.scene, asked.problem
     if not scene.dissolution.reduces:
-        return Omission(
-            LIQUID, "needed: a front that moves at a given flux is marched", math.inf, False
-        )
+        return _liquid_needed("a front that moves at a given flux is marched")
     if not scene.never_speeds_up:
-        reason = "needed: the kinetics may speed up, or differs from place to place"
-        return Omission(LIQUID, reason, math.inf, False)
+        return _liquid_needed("the kinetics may speed up, or differs from place to place")
+    by_classes, saturated = isinstance(problem, Cells), scene.saturation_concentration
     bound = liquid_bound(scene, problem)
-    liquid = scene.domain if isinstance(problem, Cells) else scene.domain & ~scene.metal
+    liquid = scene.domain if by_classes else scene.domain & ~scene.metal
     reach = bound[liquid].max(initial=0.0)
     if not np.isfinite(reach):
-        return Omission(
-            LIQUID,
-            "needed: some liquid cannot reach refreshed medium and fills up",
-            math.inf,
-            False,
-        )
-    if reach >= scene.saturation_concentration and scene.saturation != "none":
-        return Omission(
-            LIQUID,
-            f"needed: its concentration may reach {reach:.3g} mol/m3, at or above saturation "
-            f"({scene.saturation_concentration:.3g})",
-            math.inf,
-            False,
-        )
-    epsilon = reach / scene.solid_concentration
+        return _liquid_needed("some liquid cannot reach refreshed medium and fills up")
+    saturates = reach >= saturated and scene.saturation != "none"
+    may_reach = f"its concentration may reach {reach:.3g} mol/m3, "
+    if saturates and not (by_classes and reach <= _HOPELESS * saturated):
+        return _liquid_needed(f"{may_reach}at or above saturation ({saturated:.3g})")
+    epsilon = min(reach, saturated) / scene.solid_concentration
     error = epsilon / (1.0 - epsilon) if epsilon < 1 else math.inf
     if isinstance(problem, Cells):
-        lost, moved = dissolving_bound(scene, end_time, problem)
+        lost, moved = dissolving_bound(scene, asked.end, problem, asked.reduced)
     else:
-        reduced = well_stirred(scene, [end_time], problem=problem)
+        reduced = well_stirred(scene, [asked.end], problem=problem, reduced=asked.reduced)
         lost = int((scene.metal & ~reduced.metal[-1]).sum())
         moved = math.inf if lost else 0.0
-    parts = "rate classes" if isinstance(problem, Cells) else "metal nodes"
-    if lost and moved > tolerance:
+    parts = "rate classes" if by_classes else "metal nodes"
+    if lost and moved > asked.tolerance:
         known = f", which changes the volume loss by up to {moved:.1e}" if moved < 1 else ""
-        reason = f"needed: {lost} {parts} turn liquid by the end and expose others{known}"
-        return Omission(LIQUID, reason, math.inf, False)
+        return _liquid_needed(f"{lost} {parts} turn liquid by the end and expose others{known}")
     solid = f"what {lost} {parts} that dissolve expose changes it by {moved:.1e} at most"
+    stays = (
+        f"its concentration stays below {reach:.3g} mol/m3, {epsilon:.1e} of the solid's and "
+        f"below saturation ({saturated:.3g})"
+    )
+    if saturates and isinstance(problem, Cells):
+        later = asked.times[asked.times > 0]
+        held = held_back(problem, asked.reduced, later, asked.tolerance)
+        if not held.share <= asked.tolerance:
+            return _liquid_needed(
+                f"{may_reach}beyond saturation ({saturated:.3g}), which may hold back more than "
+                f"{asked.tolerance:.1e} of the volume loss"
+            )
+        moved += held.share
+        stays = (
+            f"at most {held.cells} cells of it are saturated, until {held.until / 3600:.3g} h of "
+            f"bare metal at the latest, which holds back {held.share:.1e} of the loss at most"
+        )
     return Omission(
         LIQUID,
-        f"its concentration stays below {reach:.3g} mol/m3, {epsilon:.1e} of the solid's and "
-        f"below saturation ({scene.saturation_concentration:.3g}), and "
-        f"{solid if lost else 'no metal node dissolves'}: clean liquid, one scalar equation",
+        f"{stays}, and {solid if lost else 'no metal node dissolves'}: clean liquid, one scalar "
+        "equation",
         error + moved,
-        error + moved <= tolerance and LIQUID not in refused,
+        error + moved <= asked.tolerance and LIQUID not in asked.refused,
     )
+
+
+def _liquid_needed(reason: str) -> Omission:
+    return Omission(LIQUID, f"needed: {reason}", math.inf, False)
 
 
 def corrode_lean(
@@ -283,12 +326,12 @@ def corrode_lean(
 
     march_by: what marches, `corrode` or a function that takes the same (`ranks.corrode`).
     """
-    problem = _discrete(scene)
-    omissions, domain = _plan(scene, problem, float(np.max(times)), tolerance, refused)
+    asked = _asked(scene, times, tolerance, refused)
+    omissions, domain = _plan(asked)
     if any(o.name == LIQUID and o.applied for o in omissions):
-        nodes = None if isinstance(problem, Cells) else problem
-        return well_stirred(scene, times, problem=nodes), omissions
-    del problem  # its arrays; the march has its own
+        nodes = None if isinstance(asked.problem, Cells) else asked.problem
+        return well_stirred(scene, times, problem=nodes, reduced=asked.reduced), omissions
+    del asked  # its arrays; the march has its own
     marched = scene
     if any(o.name == FAR_LIQUID and o.applied for o in omissions):
         marched = replace(scene, domain=domain)

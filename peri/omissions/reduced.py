@@ -46,6 +46,12 @@ _LARGEST_CHANGE = 0.7
 _HALVINGS = 12
 """How often cells are halved at most; kinetics that jump would ask for ever more."""
 
+_SERIES = 1e-8
+"""mu z below which e^(-mu z) is 1 - mu z + (mu z)^2 / 2 to round-off."""
+
+_SPENT = 40.0
+"""mu z above which nothing is left, to round-off."""
+
 _NODES, _WEIGHTS = legendre.leggauss(_POINTS)
 _TO_COEFFICIENTS = np.linalg.inv(legendre.legvander(_NODES, _POINTS - 1))
 _INTEGRAL = np.stack(
@@ -292,12 +298,19 @@ def _make_table(sums: Array, shares: Array, scale: float) -> _Table:
     z = _FIRST / fastest * np.sinh(u)
     stretch = _FIRST / fastest * np.cosh(u) * half
     loss, slope = np.empty_like(z), np.empty_like(z)
+    # The sums ascend: only those between no loss to speak of and all lost take an exponential.
+    flux = shares * sums
+    spent, first, second = (
+        np.concatenate([[0.0], np.cumsum(part)]) for part in (shares, flux, 0.5 * flux * sums)
+    )
     for n, exposures in enumerate(z):
-        left = np.exp(-np.multiply.outer(exposures, sums))
-        # Differences from one would cost digits of small losses.
-        first = np.multiply.outer(exposures, sums).max() < 1e-3
-        lost = -np.expm1(-np.multiply.outer(exposures, sums)) if first else 1.0 - left
-        loss[n], slope[n] = scale * (lost @ shares), scale * (left @ (shares * sums))
+        low = int(np.searchsorted(sums, _SERIES / exposures[-1]))
+        high = int(np.searchsorted(sums, _SPENT / exposures[0]))
+        lost = -np.expm1(-np.multiply.outer(exposures, sums[low:high]))
+        few = exposures * (first[low] - exposures * second[low])
+        loss[n] = lost @ shares[low:high] + few + (spent[-1] - spent[high])
+        slope[n] = (1.0 - lost) @ flux[low:high] + first[low] - 2.0 * exposures * second[low]
+    loss, slope = scale * loss, scale * slope
     return _Table(edges, stretch, np.minimum(loss, 1.0), slope)
 
 

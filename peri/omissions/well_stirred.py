@@ -24,7 +24,10 @@ from peri.omissions.reduced import ReducedCorrosion, factor_of, refuse_other_law
 
 
 def well_stirred(
-    scene: CorrosionScene, times: Sequence[float], problem: BiMaterial | None = None
+    scene: CorrosionScene,
+    times: Sequence[float],
+    problem: BiMaterial | None = None,
+    reduced: ReducedCorrosion | None = None,
 ) -> CorrosionResult:
     """Corrode a scene as if all liquid were clean.
 
@@ -39,6 +42,8 @@ def well_stirred(
         s, ascending, >= 0.
     problem : BiMaterial, optional
         The scene's, as it was before any step, where the caller has it.
+    reduced : ReducedCorrosion, optional
+        The scene's, likewise.
 
     Returns
     -------
@@ -49,7 +54,7 @@ def well_stirred(
     times = np.asarray(times, float)
     if scene.exposure is None:
         problem = problem or BiMaterial(scene)
-    reduced = ReducedCorrosion.of(scene, problem)
+    reduced = reduced or ReducedCorrosion.of(scene, problem)
     moments = np.union1d(np.linspace(0.0, times[-1], 101), times)
     if scene.coating is not None and scene.coating.lifetime < times[-1]:
         moments = np.union1d(moments, [scene.coating.lifetime])
@@ -122,7 +127,7 @@ def clean_march(
     refuse_other_laws(scene)
     if scene.coating is not None:
         raise ValueError("coating: steps of a march under one are not repeated; leave it out")
-    _, levels, weights, volumes = _classes(scene, problem)
+    levels, weights, volumes = _levels(scene, problem)
     solid, saturated = scene.solid_concentration, scene.saturation_concentration
     total = volumes.sum() * (solid - saturated)
     never = (volumes.sum() - weights.sum()) * (solid - saturated)  # what sees no liquid
@@ -149,14 +154,18 @@ def clean_march(
     return np.array(losses)
 
 
-def _classes(scene: CorrosionScene, problem: BiMaterial | None):
-    """Rates (1/s) and volumes of the metal nodes, and the classes of one rate with their volumes.
+def _levels(scene: CorrosionScene, problem: BiMaterial | None):
+    """Rates that differ (1/s), the volume of each, and the volumes of all metal.
 
-    Nodes of (nearly) one rate form one class, so that sums run over classes, exactly.
-    Returns rates, levels, weights, volumes; levels and weights are those of exposed nodes.
+    Nodes, or rate classes, of one rate are taken together, so that sums run over the rates; what
+    sees no liquid has none.
     """
-    rates = (problem or BiMaterial(scene)).metal_rates()[scene.metal]
-    volumes = scene.capacity()[scene.metal]
+    if scene.exposure is None:
+        rates = (problem or BiMaterial(scene)).metal_rates()[scene.metal]
+        volumes = scene.capacity()[scene.metal]
+    else:
+        rates = scene.base_interface_diffusivity() * class_bond_sums(scene)
+        volumes = scene.exposure.metal.volume
     exposed = rates > 0
     levels, member = np.unique(rates[exposed], return_inverse=True)
-    return rates, levels, np.bincount(member, volumes[exposed], levels.size), volumes
+    return levels, np.bincount(member, volumes[exposed], levels.size), volumes

@@ -145,7 +145,7 @@ def screw_march(
     corrode(published_screw(alloy, m, 4e-4), [DAY], TimeStepping("sdirk2", step=DAY))  # compiles
     start, begun = time.perf_counter(), time.process_time()
     if lean:
-        planned = {o.name for o in plan_omissions(scene, times[-1]) if o.applied}
+        planned = {o.name for o in plan_omissions(scene, times) if o.applied}
         if planned <= {SOLID_CORE}:
             # That costs nothing in any march: there is nothing to compare.
             return {"left_out": sorted(planned), "clean_liquid": False}

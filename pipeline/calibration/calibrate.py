@@ -158,9 +158,8 @@ def calibrate(
         raise CalibrationError("no parameter is free; at least one must be")
     scene = with_constants(scene, alloy, held)
     implant = implant or Implant(scene)
-    end = float(measurements.times.max())
     refuse = scene.corrosion.dissolution != "proportional"
-    omission = liquid_omission(scene, alloy, implant, end)
+    omission = liquid_omission(scene, alloy, implant, measurements.times)
     names = [p.name for p in parameters]
     with ExitStack() as stack:
         clean = omission.applied and not refuse
@@ -169,7 +168,7 @@ def calibrate(
                 ReducedModel(scene, alloy, implant, names), scene, alloy, measurements, parameters,
                 starts,
             )  # fmt: skip
-            omission = liquid_omission(found.scene, alloy, implant, end)
+            omission = liquid_omission(found.scene, alloy, implant, measurements.times)
             clean = omission.applied
         if not clean:
             executor = executor or stack.enter_context(marching_executor(workers, implant.folder))

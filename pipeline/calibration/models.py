@@ -16,7 +16,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.march.marching import TimeStepping
@@ -118,10 +118,12 @@ class Implant:
         )
 
 
-def liquid_omission(scene: Scene, alloy: str, implant: Implant, end: float) -> Omission:
-    """Whether the liquid may be left out until `end` (s), with the bound of doing so."""
+def liquid_omission(scene: Scene, alloy: str, implant: Implant, times: ArrayLike) -> Omission:
+    """Whether the liquid may be left out for V_L at `times` (s), with the bound of doing so."""
     settings = scene.corrosion
-    found = plan_omissions(implant.corrosion(scene, alloy), end, settings.tolerance, settings.keep)
+    found = plan_omissions(
+        implant.corrosion(scene, alloy), times, settings.tolerance, settings.keep
+    )
     return next(omission for omission in found if omission.name == LIQUID)
 
 

@@ -22,7 +22,7 @@ from pipeline.campaigns.strength import (
     CURVE_FOLDER,
     DEFAULT_TOLERANCE,
     CurveTests,
-    clean_until,
+    clean_at,
     curve_to,
 )
 from pipeline.campaigns.surrogate_bands import FIRST, MarchedSamples
@@ -114,7 +114,7 @@ class BandedRun(StagedRun):
         samples, times = self.samples[alloy], self.scene.with_intact()
         shared = self._how()
         try:
-            losses = self._losses(alloy, implant, samples, max(m.seconds for m in times))
+            losses = self._losses(alloy, implant, samples)
         except SceneError:
             if self.surrogate is None:
                 raise
@@ -185,25 +185,33 @@ class BandedRun(StagedRun):
             for hold in banded.strengths
         ]
 
-    def _losses(self, alloy: str, implant: Implant, samples: Samples, end: float) -> Array:
+    def _losses(self, alloy: str, implant: Implant, samples: Samples) -> Array:
         """V_L of every sample at every time (n, nt), as if all liquid were clean.
 
         The bound of that grows with the rate at the start: of the fastest samples a few may go
         beyond it, which the band's ends do not feel; more, and SceneError is raised.
         """
         seconds = [moment.seconds for moment in self.scene.with_intact()]
-        losses = sampled_losses(self.scene, alloy, implant, samples, seconds)
-        at_once = sampled_losses(self.scene, alloy, implant, samples, [1.0])[:, 0]
+        found = sampled_losses(self.scene, alloy, implant, samples, [*seconds, 1.0])
+        losses, at_once = found[:, :-1], found[:, -1]
         slowest_first = np.argsort(at_once, kind="stable")
 
         def scene(row: int) -> Scene:
             return with_constants(self.scene, alloy, samples.constants(row))
 
         beyond, allowed = 0, int(BEYOND * len(slowest_first))
-        while not liquid_omission(scene(slowest_first[-1 - beyond]), alloy, implant, end).applied:
+        while True:
+            fastest = scene(slowest_first[-1 - beyond])
+            omission = liquid_omission(fastest, alloy, implant, seconds)
+            if omission.applied:
+                break
             if beyond >= allowed:
-                clean_until(scene(slowest_first[-1 - beyond]), alloy, implant, end)
+                clean_at(fastest, alloy, implant, seconds)
             beyond = min(allowed, 2 * beyond + 1)
+        self.progress.note(
+            f"{alloy}: liquid left out of {len(slowest_first) - beyond} samples, which changes the "
+            f"volume loss by at most {omission.bound:.1e} ({omission.reason})"
+        )
         if beyond:
             self.progress.note(
                 f"{alloy}: up to {beyond} of {len(slowest_first)} samples, the fastest, go beyond "

@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
 from peri.omissions.planning import Omission
@@ -30,18 +31,13 @@ DEFAULT_TOLERANCE = 0.01
 """Error of the curve, of the intact strength."""
 
 
-def clean_until(scene: Scene, alloy: str, implant: Implant, end: float) -> Omission:
-    """The bound of leaving the liquid out until `end`; SceneError where the liquid counts."""
-    omission = liquid_omission(scene, alloy, implant, end)
+def clean_at(scene: Scene, alloy: str, implant: Implant, times: ArrayLike) -> Omission:
+    """The bound of leaving the liquid out for `times`, s; SceneError where the liquid counts."""
+    omission = liquid_omission(scene, alloy, implant, times)
     if not omission.applied:
         raise SceneError(
             f"strength curve of {alloy}: the liquid cannot be left out ({omission.reason}), so the "
             "strength is no function of the volume loss alone, which must be so without --surrogate"
-            + (
-                "; with one rate per node (--classes 0) it may be"
-                if scene.corrosion.classes
-                else ""
-            )
         )
     return omission
 
@@ -109,7 +105,7 @@ class CurveTests:
             for loss in losses
         )
         if moments[-1].seconds > 0:
-            clean_until(self.scene, self.alloy, self.implant, moments[-1].seconds)
+            clean_at(self.scene, self.alloy, self.implant, [m.seconds for m in moments])
         scene = replace(self.scene, immersion=moments)
         ends = dict.fromkeys((moments[0].label, moments[-1].label))
         folder = RunFolder(self.folder / "-".join(ends))

@@ -234,12 +234,12 @@ def march_omissions(scene: Scene, solid: Solid) -> list[tuple[str, Omission]]:
     region = liquid_domain(scene, solid.points)
     lattice, domain = domain_lattice(scene, region)
     metal, fraction = metal_of(scene, lattice, solid)
-    end = max(time.seconds for time in scene.immersion)
+    times = [time.seconds for time in scene.immersion]
     found = []
     for alloy in scene.alloys:
         corrosion = corrosion_scene(scene, alloy.name, lattice, domain, metal, fraction)
         tolerance, keep = scene.corrosion.tolerance, scene.corrosion.keep
-        omissions = plan_omissions(corrosion, end, tolerance, keep)
+        omissions = plan_omissions(corrosion, times, tolerance, keep)
         if scene.ions is not None:
             omissions = ion_stage.plan_ions(corrosion, scene.ions, omissions)
         found += [(alloy.name, omission) for omission in omissions]

@@ -126,7 +126,7 @@ def study_corrosion(
         cases = Cases(alloy, solid, keep)
         solid, horizon = cases.solid, cases.horizon
         coarse = cases.scene(min(positions))
-        liquid = next(o for o in plan_omissions(coarse, TIMES[-1]) if o.name == LIQUID)
+        liquid = next(o for o in plan_omissions(coarse, TIMES) if o.name == LIQUID)
         clean = liquid.applied
         left_out = liquid.bound if clean else None
         work = _OfAlloy(cases, left_out, positions, node_positions)

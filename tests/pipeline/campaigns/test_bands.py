@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.calibration.models import Implant, ReducedModel
 from pipeline.campaigns.banded import samples_of
-from pipeline.campaigns.strength import CurveTests, clean_until
+from pipeline.campaigns.strength import CurveTests, clean_at
 from pipeline.cli import main
 from pipeline.record.bands import BandRow, read_bands, write_bands
 from pipeline.record.doubts import read_doubts
@@ -75,7 +75,7 @@ def test_more_samples_than_the_set_has_are_refused(fitted, tmp_path, capsys):
 def test_where_the_liquid_counts_the_curve_is_refused():
     scene = resolve_scene(["Mg-10Gd"], ["8w"], **COARSE)
     with pytest.raises(SceneError, match="no function of the volume loss alone"):
-        clean_until(scene, "Mg-10Gd", Implant(scene), 56 * 86400.0)
+        clean_at(scene, "Mg-10Gd", Implant(scene), 56 * 86400.0)
 
 
 def test_tests_of_a_curve_begin_at_the_volume_loss_asked_for(tmp_path):
