@@ -96,3 +96,26 @@ def test_a_surface_that_moves_meanwhile_has_no_bound():
     scene = saturating(3.0, kinetics=ConstantRate(), liquid_diffusivity=1e-12)
     assert 0 < bound_of(scene, [10 * DAY]).share < 1
     assert bound_of(scene, [40 * DAY]).share == np.inf
+
+
+@pytest.mark.slow
+def test_the_fastest_sample_of_the_screw():
+    """Mg-5Gd, the fastest of 200 samples of a fit (pipeline/calibration/README.md), default classes."""
+    from pipeline.calibration.models import Implant, with_constants
+    from pipeline.scene.resolve import resolve_scene
+
+    scene = resolve_scene(["Mg-5Gd"], ["8w"])
+    fastest = {"interface_diffusivity": 9.34256e-15, "volume_loss_scale": 0.0920476}
+    corrosion = Implant(scene).corrosion(with_constants(scene, "Mg-5Gd", fastest), "Mg-5Gd")
+    assert liquid_bound(corrosion).max() > 1.9 * corrosion.saturation_concentration
+    times = np.array([1 / 144, 1.0, 7.0, 28.0, 56.0]) * DAY
+    history = corrode(corrosion, times, TimeStepping(rate_change=0.05)).history
+    at = np.searchsorted(history["time"], times * (1 - 1e-12))
+    error = 1.0 - history["volume_loss"][at] / clean_march(corrosion, history["step"][1:])[at - 1]
+    bounds = np.array([bound_of(corrosion, [time]).share for time in times])
+    held = history["saturated_nodes"]
+    # measured 1.3e-2, 2.2e-3, 2.3e-4, 6.6e-5, 4.3e-5 of 1.4e-2, 4.5e-3, 1.5e-3, 9.4e-4, 7.9e-4
+    assert np.all(error <= bounds + 2e-5) and error[0] > 0.8 * bounds[0] and bounds[-1] < 1e-3
+    assert 1000 < held.max() <= bound_of(corrosion, times).cells
+    found = plan_omissions(corrosion, [56 * DAY])
+    assert liquid_of(found).applied and "cells of it are saturated" in liquid_of(found).reason
