@@ -100,7 +100,7 @@ def test_a_surface_that_moves_meanwhile_has_no_bound():
 
 @pytest.mark.slow
 def test_the_fastest_sample_of_the_screw():
-    """Mg-5Gd, the fastest of 200 samples of a fit (pipeline/calibration/README.md), default classes."""
+    """Mg-5Gd, the fastest of 200 samples of a fit (pipeline/calibration/README.md)."""
     from pipeline.calibration.models import Implant, with_constants
     from pipeline.scene.resolve import resolve_scene
 
