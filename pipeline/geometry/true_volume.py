@@ -33,6 +33,34 @@ _LEAST_SHAPE = 0.5
 """A cell keeps that share of its shape (1 regular, 0 flat), or its nodes move less."""
 
 
+class Gaps:
+    """How far a surface lies from facets of a mesh that follow it.
+
+    surface (m, 3), triangles (nt, 3): as for `with_true_volume`; edge: a facet's edge length, m.
+    """
+
+    def __init__(self, surface: Array, triangles: NDArray[np.int64], edge: float) -> None:
+        self._near, own, normals = spread_points(surface, triangles, edge / _SURFACE_PARTS)
+        self._facing = normals[own]
+        self._tree = cKDTree(self._near)
+
+    def __call__(self, at: Array, normal: Array) -> Array:
+        """Distance (nf, nq) outward along the normals (nf, 3) of facets from points (nf, nq, 3).
+
+        To the plane of the nearest point of the surface that faces the facet's way; 0 without one.
+        """
+        near, facing = self._near, self._facing
+        _, number = self._tree.query(at, k=min(_CANDIDATES, len(near)), workers=-1)
+        number = number.reshape(*at.shape[:2], -1)
+        along = np.einsum("fqkd,fd->fqk", facing[number], normal)
+        fits = along > _SAME_WAY
+        first = np.argmax(fits, axis=2)[:, :, None]
+        chosen = np.take_along_axis(number, first, 2)[:, :, 0]
+        cosine = np.take_along_axis(along, first, 2)[:, :, 0]
+        found = np.einsum("fqd,fqd->fq", near[chosen] - at, facing[chosen])
+        return np.where(fits.any(axis=2), found / np.maximum(cosine, _SAME_WAY), 0.0)
+
+
 def with_true_volume(
     points: Array, cells: NDArray[np.int64], surface: Array, triangles: NDArray[np.int64]
 ) -> Array:
@@ -52,23 +80,22 @@ def with_true_volume(
     shape = scaled_shape(points, cells)
     corner = points[faces]
     edge = np.median(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2))
-    near, own, normals = spread_points(surface, triangles, edge / _SURFACE_PARTS)
-    tree = cKDTree(near)
+    gaps = Gaps(surface, triangles, edge)
     for _ in range(_ROUNDS):
-        move = _moves(points, faces, tree, near, normals[own])
+        move = _moves(points, faces, gaps)
         move[ends, 2] = 0.0
         points = _safely(points, cells, move, shape)
     return points
 
 
-def _moves(points: Array, faces: NDArray, tree: cKDTree, near: Array, facing: Array) -> Array:
+def _moves(points: Array, faces: NDArray, gaps: Gaps) -> Array:
     """What each node (n, 3) should move by."""
     corner = points[faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     area = 0.5 * np.linalg.norm(normal, axis=1)
     normal = normal / (2.0 * area[:, None])
     weights = parts(_PER_EDGE)
-    gap = _gaps(np.einsum("qa,fad->fqd", weights, corner), normal, tree, near, facing)
+    gap = gaps(np.einsum("qa,fad->fqd", weights, corner), normal)
     gap = np.where(np.abs(gap) < np.sqrt(area)[:, None], gap, 0.0)
     mean = 3.0 * gap @ weights / len(weights)  # (nf, 3), by the shape functions of the corners
     matrix, right = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))
@@ -80,22 +107,6 @@ def _moves(points: Array, faces: NDArray, tree: cKDTree, near: Array, facing: Ar
     move, on = np.zeros_like(points), np.unique(faces)
     move[on] = np.linalg.solve(matrix[on], right[on][:, :, None])[:, :, 0]
     return move
-
-
-def _gaps(at: Array, normal: Array, tree: cKDTree, near: Array, facing: Array) -> Array:
-    """Distance (nf, nq) along the facets' normals (nf, 3) from their points (nf, nq, 3) outward.
-
-    To the plane of the nearest point of the surface that faces the facet's way; 0 without one.
-    """
-    _, number = tree.query(at, k=min(_CANDIDATES, len(near)), workers=-1)
-    number = number.reshape(*at.shape[:2], -1)
-    along = np.einsum("fqkd,fd->fqk", facing[number], normal)
-    fits = along > _SAME_WAY
-    first = np.argmax(fits, axis=2)[:, :, None]
-    chosen = np.take_along_axis(number, first, 2)[:, :, 0]
-    cosine = np.take_along_axis(along, first, 2)[:, :, 0]
-    found = np.einsum("fqd,fqd->fq", near[chosen] - at, facing[chosen])
-    return np.where(fits.any(axis=2), found / np.maximum(cosine, _SAME_WAY), 0.0)
 
 
 def _safely(points: Array, cells: NDArray, move: Array, shape: Array) -> Array:

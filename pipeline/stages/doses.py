@@ -11,6 +11,7 @@ gives only what varies slowly.
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -21,11 +22,15 @@ from peri.corrosion.scene import CorrosionScene
 from peri.engine.march.checkpoints import fingerprint
 from peri.engine.surface.exposure import exposure
 from peri.engine.surface.triangles import Surface
-from pipeline.geometry.mesh import cell_volumes, refine_tetrahedra, surface_faces
+from pipeline.geometry.mesh import refine_tetrahedra, surface_faces
 from pipeline.geometry.surface import Solid
+from pipeline.geometry.true_volume import Gaps
+from pipeline.scene.scene import Scene
 from pipeline.stages.damage_map import interpolated
 
 Array = NDArray[np.float64]
+Kernel = tuple[float, float, str]
+"""Horizon (m), exponent and influence function of an exposure (peri.engine.surface.exposure)."""
 
 DOSES_FILE = "doses.npz"
 _UNSEEN = 1e-3
@@ -102,23 +107,74 @@ def skin_points(points: Array, cells: NDArray[np.int64], halvings: int = 1) -> t
 
     points (n, 3), cells (nc, 4): the mesh of a solid that sees liquid on its whole surface.  Each
     cell has 8^halvings parts of four points, one part after another as `refine_tetrahedra` has
-    them.
-    Below the surface an exposure grows with the logarithm of the depth.  A part with a face there
-    has four points that are exact for it, and for quadratics, as those of the other parts are
+    them.  Below the surface an exposure grows with the logarithm of the depth.  A part with a face
+    there has four points that are exact for it, and for quadratics, as those of the other parts are
     (tests/pipeline/stages/test_doses.py).
     """
-    finer, parts = points, cells
+    corners, _, barycentric, share = _skin(points, cells, halvings)
+    at = np.einsum("pqa,pad->pqd", barycentric, corners)
+    edges = corners[:, 1:] - corners[:, :1]
+    volume = share * (np.abs(np.linalg.det(edges)) / 6.0)[:, None]
+    return at.reshape(len(cells), -1, 3), volume.reshape(len(cells), -1)
+
+
+def skin_exposure(
+    points: Array,
+    cells: NDArray[np.int64],
+    solid: Solid,
+    kernel: Kernel,
+    folder: Path | None = None,
+    halvings: int = 1,
+) -> Array:
+    """Lambda (nc, np) at the `skin_points` of a solid's mesh, as deep below the surface itself.
+
+    The mesh has the solid's volume place by place, but its facets lie within and outside of the
+    surface by turns: the points below a facet are moved with it onto the surface.  folder: where it
+    is kept, by the hash of all it depends on.
+    """
+
+    def moved() -> Array:
+        corners, face, barycentric, _ = _skin(points, cells, halvings)
+        at = np.einsum("pqa,pad->pqd", barycentric, corners)
+        skin = np.flatnonzero(face < 4)
+        at[skin] += _onto_surface(corners[skin], face[skin], barycentric[skin], solid)
+        return at.reshape(len(cells), -1, 3)
+
+    return _kept(moved, (points, cells, halvings), solid, kernel, folder)
+
+
+def _skin(points: Array, cells: NDArray[np.int64], halvings: int) -> tuple[Array, ...]:
+    """Of all parts: corners (np, 4, 3), face at the surface (4: none), points, their shares."""
+    parts = cells
     for _ in range(halvings):
-        finer, parts = refine_tetrahedra(finer, parts)
+        points, parts = refine_tetrahedra(points, parts)
     at_surface = surface_faces(parts)
     face = np.where(at_surface.any(axis=1), at_surface.argmax(axis=1), 4)
     plain = find_element("P2")
     rules = [*map(_skin_rule, range(4)), (plain.barycentric, plain.weights / plain.weights.sum())]
-    barycentric = np.array([rule[0] for rule in rules])[face]
-    share = np.array([rule[1] for rule in rules])[face]
-    at = np.einsum("pqa,pad->pqd", barycentric, finer[parts])
-    volume = share * cell_volumes(finer, parts)[:, None]
-    return at.reshape(len(cells), -1, 3), volume.reshape(len(cells), -1)
+    barycentric, share = (np.array([rule[k] for rule in rules])[face] for k in (0, 1))
+    return points[parts], face, barycentric, share
+
+
+def _onto_surface(corners: Array, face: NDArray[np.int64], at: Array, solid: Solid) -> Array:
+    """By what (np, nq, 3) points of parts move so that the parts' faces lie on the surface.
+
+    corners (np, 4, 3), m; face (np,): the number of the node that the face lies opposite to; at
+    (np, nq, 4): barycentric.  That node stays.
+    """
+    row = np.arange(len(face))
+    top = corners[row, face]
+    others = np.array([[k for k in range(4) if k != f] for f in range(4)])[face]
+    base = corners[row[:, None], others]
+    normal = np.cross(base[:, 1] - base[:, 0], base[:, 2] - base[:, 0])
+    area = 0.5 * np.linalg.norm(normal, axis=1)
+    normal *= np.sign(np.einsum("pd,pd->p", normal, base[:, 0] - top))[:, None]
+    normal /= 2.0 * area[:, None]
+    share = 1.0 - at[row, :, face]  # of the way from the node to the face
+    foot = top[:, None] + (np.einsum("pqa,pad->pqd", at, corners) - top[:, None]) / share[..., None]
+    gap = Gaps(solid.points, solid.triangles, float(np.sqrt(np.median(area))))(foot, normal)
+    gap = np.where(np.abs(gap) < np.sqrt(area)[:, None], gap, 0.0)
+    return (share * gap)[..., None] * normal[:, None]
 
 
 def _skin_rule(face: int) -> tuple[Array, Array]:
@@ -136,31 +192,37 @@ def part_means(values: Array, weights: Array) -> Array:
     return np.average(values.reshape(shape), axis=2, weights=weights.reshape(shape))
 
 
-def exposure_at(
-    points: Array,
-    solid: Solid,
-    horizon: float,
-    kernel_exponent: float,
-    influence: str,
-    folder: Path | None = None,
-) -> Array:
+def exposure_at(points: Array, solid: Solid, kernel: Kernel, folder: Path | None = None) -> Array:
     """Lambda at points (..., 3) m of a mesh; infinite outside the solid, 0 beyond the horizon.
 
     folder: where it is kept, by the hash of all it depends on.
     """
+    return _kept(lambda: points, (points,), solid, kernel, folder)
+
+
+def _kept(
+    points: Callable[[], Array], of: tuple, solid: Solid, kernel: Kernel, folder: Path | None
+) -> Array:
+    """Lambda at points, which `of` decides, from the folder or computed and kept there."""
     surface = Surface(solid.points, solid.triangles)
-    kernel = (float(horizon), float(kernel_exponent), influence)
-    mark = fingerprint(surface.vertices, surface.facets, points, *kernel)
+    mark = fingerprint(surface.vertices, surface.facets, *of, *kernel)
     kept = None if folder is None else folder / f"seen-{mark[:16]}.npy"
     if kept is not None and kept.exists():
         return np.load(kept)
-    seen = exposure(points.reshape(-1, 3), surface, *kernel)
-    seen = np.where(seen < 0.0, np.inf, seen).reshape(points.shape[:-1])
+    at = points()
+    seen = exposure(at.reshape(-1, 3), surface, *kernel)
+    seen = np.where(seen < 0.0, np.inf, seen).reshape(at.shape[:-1])
     if kept is not None:
         temporary = kept.with_name(f".{kept.name}.{os.getpid()}.npy")
         np.save(temporary, seen)
         os.replace(temporary, kept)
     return seen
+
+
+def kernel_of(scene: Scene) -> Kernel:
+    """The kernel by which the points of a scene see its liquid."""
+    settings = scene.corrosion
+    return float(scene.lattice.horizon), float(settings.kernel_exponent), settings.influence
 
 
 def damage_by_dose(points: Array, seen: Array, origin: Array, spacing: Array, dose: Array) -> Array:

@@ -21,7 +21,15 @@ from pipeline.stages.damage_map import (
     lost_volume_on_mesh,
     net_section,
 )
-from pipeline.stages.doses import DOSES_FILE, damage_by_dose, exposure_at, part_means, skin_points
+from pipeline.stages.doses import (
+    DOSES_FILE,
+    damage_by_dose,
+    exposure_at,
+    kernel_of,
+    part_means,
+    skin_exposure,
+    skin_points,
+)
 from pipeline.stages.geometry import SURFACE_FILE, read_surface
 
 DAMAGE_FILE = "damage.h5"
@@ -62,7 +70,13 @@ def map_in_folder(
     place = (fields["lattice/origin"], fields["lattice/spacing"])
     lost_by = (fields["concentration"][number], fields["metal"], solid)
     if mapping == EXPOSURES:
-        seen = _seen(scene, points, geometry)
+        surface = read_surface(geometry if (geometry / SURFACE_FILE).exists() else geometry.parent)
+        kernel = kernel_of(scene)
+        seen = (
+            skin_exposure(mesh.points, mesh.cells, surface, kernel, geometry)
+            if one_per_cell
+            else exposure_at(points, surface, kernel, geometry)
+        )
         with np.load(corrosion / DOSES_FILE) as stored:
             damage = damage_by_dose(points, seen, *place, stored["dose"][number])
         held = fields["capacity"] * place[1].prod()
@@ -103,14 +117,6 @@ def _chosen(
     if hold.tensile.mapping == EXPOSURES:
         raise ValueError(f"mapping is exposures; it must be nodes or auto where {BLIND_METAL}")
     return NODES, BLIND_METAL
-
-
-def _seen(scene: Scene, points: np.ndarray, geometry: Path) -> np.ndarray:
-    """The exposures of points of a mesh in the folder `geometry`, which keeps them."""
-    settings = scene.corrosion
-    surface = geometry if (geometry / SURFACE_FILE).exists() else geometry.parent
-    kernel = (scene.lattice.horizon, settings.kernel_exponent, settings.influence)
-    return exposure_at(points, read_surface(surface), *kernel, geometry)
 
 
 def map_intact(moment: ImmersionTime, hold: HoldScene, geometry: Path, out: Path) -> None:

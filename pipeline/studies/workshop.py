@@ -150,7 +150,7 @@ class Workshop:
             liquid_domain,
             metal_of,
         )
-        from pipeline.stages.doses import doses
+        from pipeline.stages.doses import doses, kernel_of
 
         if rate_change is not None:
             changes["corrosion"] = {**changes.get("corrosion", {}), "rate_change": rate_change}
@@ -181,11 +181,8 @@ class Workshop:
         dose, more = doses(result.scene, result.concentration), {}
         if dose is not None:
             np.savez(self.folder / SURFACE_FILE, points=solid.points, triangles=solid.triangles)
-            more = {
-                "horizon": scene.lattice.horizon,
-                "kernel_exponent": scene.corrosion.kernel_exponent,
-                "influence": scene.corrosion.influence,
-            }
+            names = ("horizon", "kernel_exponent", "influence")
+            more = dict(zip(names, kernel_of(scene), strict=True))
         if exposed is not None:
             result = by_nodes(result, metal)
         march = result.scene
@@ -398,7 +395,7 @@ def mapped_damage(points, cells, pull: Pull, field, maximum: float, folder: Path
     """
     from fem.quadrature import quadrature_points, sampling_points
     from pipeline.stages.damage_map import conserved, conserving_map, lost_volume_on_lattice
-    from pipeline.stages.doses import damage_by_dose, exposure_at, skin_points
+    from pipeline.stages.doses import damage_by_dose, exposure_at, skin_exposure, skin_points
 
     by_dose = "dose" in field
     if pull.samples is None:
@@ -411,7 +408,10 @@ def mapped_damage(points, cells, pull: Pull, field, maximum: float, folder: Path
         with np.load(folder / SURFACE_FILE) as surface:
             solid = SimpleNamespace(points=surface["points"], triangles=surface["triangles"])
         kernel = (field["horizon"].item(), field["kernel_exponent"].item(), str(field["influence"]))
-        seen = exposure_at(at, solid, *kernel, folder)
+        if pull.samples is None:
+            seen = exposure_at(at, solid, kernel, folder)
+        else:
+            seen = skin_exposure(points, cells, solid, kernel, folder, pull.samples)
         held = field["capacity"] * np.prod(field["spacing"])
         whole, _, _ = conserved(
             damage_by_dose(at, seen, *place, field["dose"]), weights,
