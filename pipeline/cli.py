@@ -88,7 +88,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_compare_options(compare)
     plan = add("plan", _plan, "what a run would compute, what not and why, time and memory")
     add_scene_options(plan)
-    add_machine_options(plan)
+    add_machine_options(plan, march=True)
     _add_json_option(plan)
     take_scene_file(plan, every_option, localised=True)
     calibrate = add("calibrate", _calibrate, "constants from measured volume loss, with doubts")
@@ -331,10 +331,13 @@ def _plan(options: argparse.Namespace) -> int:
     from pipeline.stages.sizes import check_screw
 
     check_counts(options.np, options.pulls, options.oversubscribe)
+    check_counts(options.ranks, None, options.oversubscribe, "--ranks")
     scene, solid = fitting_scene(options)
     check_screw(scene)
     solid = solid or build_solid(scene)
-    plan = make_plan(scene, solid, options.pulls, with_march=True, ranks=options.np)
+    plan = make_plan(
+        scene, solid, options.pulls, with_march=True, ranks=options.np, march_ranks=options.ranks
+    )
     checks = examine_machine(scene, solid, plan, Path.cwd(), options.np)
     if options.json:
         print(json.dumps({**plan.to_json(), "machine": [asdict(c) for c in checks]}, indent=2))

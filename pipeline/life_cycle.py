@@ -59,7 +59,14 @@ def run_life_cycle(
     path = out.path if isinstance(out, RunFolder) else out
     stages = ("geometry", "corrode", "map", "pull")
     with open_run(
-        scene, path, resume, solid=solid, stages=stages, ranks=ranks, workers=workers
+        scene,
+        path,
+        resume,
+        solid=solid,
+        stages=stages,
+        ranks=ranks,
+        workers=workers,
+        march_ranks=march_ranks,
     ) as (folder, solid):
         cycle = StagedRun(
             scene, folder, ranks=ranks, workers=workers, progress=progress, solid=solid,

@@ -295,6 +295,33 @@ def ion_march(spacing: float, steps: int, petsc: bool) -> dict | None:
     }
 
 
+def couple_march(spacing: float, steps: int, petsc: bool) -> dict | None:
+    """AE44 beside steel for six hours a step, the potential renewed in each; as ball_march."""
+    from peri.coupled.galvanic import Renewal, corrode
+    from pipeline.scenes.couples import ae44_scene
+
+    march, comm = corrode, None
+    if petsc:
+        from mpi4py.MPI import COMM_WORLD as comm
+
+        from peri.coupled.galvanic_ranks import corrode as march
+    root = comm is None or comm.rank == 0
+    renewal = Renewal(longest=0.25 * DAY)
+    march(ae44_scene("mild-steel", 0.5e-3, 1e-3) if root else None, [0.1 * DAY], renewal)
+    with _measured(comm) as costs:
+        scene = ae44_scene("mild-steel", spacing) if root else None
+        result = march(scene, [0.25 * DAY * steps], renewal)
+    if not root:
+        return None
+    amount = result.history["metal_amount"]
+    return {
+        **costs,
+        "nodes": int(np.prod(scene.lattice.shape)),
+        "iterations": int(result.history["iterations"].sum()),
+        "volume_loss": float(1.0 - amount[-1] / amount[0]),
+    }
+
+
 def image_to_solid(path: str, voxel: float, threshold: float) -> dict:
     """From an image file to the surface around its metal and to the metal's share of a lattice."""
     from peri.engine.lattice import box_lattice
@@ -322,6 +349,7 @@ CASES = {
     "screw_march": screw_march,
     "ball_march": ball_march,
     "ion_march": ion_march,
+    "couple_march": couple_march,
     "image_to_solid": image_to_solid,
 }
 

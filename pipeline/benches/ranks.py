@@ -5,12 +5,14 @@ from __future__ import annotations
 from pipeline.benches.case import in_own_process
 from pipeline.benches.result import Result
 
-BALL, IONS = 100e-6, 90e-6
-"""Spacings: 268,000 nodes about a cylinder, and 50,000 with ions."""
+BALL, IONS, COUPLE = 100e-6, 90e-6, 100e-6
+"""Spacings: 268,000 nodes about a cylinder, 50,000 with ions, 30,000 of a couple."""
 
 
-def ranks(ball: float = BALL, ions: float = IONS, steps: int = 4) -> list[Result]:
-    """A march of the metal and one with ions in one process, on one rank and on two.
+def ranks(
+    ball: float = BALL, ions: float = IONS, couple: float = COUPLE, steps: int = 4
+) -> list[Result]:
+    """Marches of a metal, with ions and of a couple in one process, on one rank and on two.
 
     Each in processes of their own with one thread; memory is what the march adds to a process that
     has marched a small scene.
@@ -19,6 +21,7 @@ def ranks(ball: float = BALL, ions: float = IONS, steps: int = 4) -> list[Result
     for model, case, spacing in (
         ("bi-material", "ball_march", ball),
         ("ions", "ion_march", ions),
+        ("couple", "couple_march", couple),
     ):
         alone = 0.0
         for number in (0, 1, 2):
@@ -46,5 +49,5 @@ def ranks(ball: float = BALL, ions: float = IONS, steps: int = 4) -> list[Result
 
 
 def small_ranks() -> list[Result]:
-    """The same with 34,000 and 6,000 nodes."""
-    return ranks(200e-6, 180e-6, 1)
+    """The same with 34,000, 6,000 and 1,200 nodes."""
+    return ranks(200e-6, 180e-6, 500e-6, 1)

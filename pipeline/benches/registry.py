@@ -248,7 +248,7 @@ BENCHMARKS: dict[str, Benchmark] = {
         bench_friendliness.small_friendliness,
     ),
     "ranks": Benchmark(
-        "a march of metal and one with ions in one process, on 1 and 2 MPI ranks (2 minutes)",
+        "marches of a metal, with ions, of a couple: in one process, on 1 and 2 MPI ranks (2 min)",
         bench_ranks.ranks,
         bench_ranks.small_ranks,
     ),

@@ -185,6 +185,7 @@ def prepare(given: Given) -> Prepared:
         lambda end: couple_omissions(scene, renewal, *lean, end=end),
         f"{scene.metal().size:,} nodes, {int((~scene.metal()).sum()):,} of liquid",
         "" if scene.robin == ROBIN[0] else "mirror nodes (potential.robin) have one process",
+        scene.metal().size,
     )
 
 

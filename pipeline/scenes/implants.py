@@ -107,7 +107,8 @@ def prepare(given: Given) -> Prepared:
     def reductions(end: float) -> list[Omission]:
         return couple_omissions(coupled, renewal, *lean, end=end)
 
-    return Prepared(given.values, march, beside.values, reductions, size)
+    nodes = coupled.metal().size
+    return Prepared(given.values, march, beside.values, reductions, size, nodes=nodes)
 
 
 def _pull(given: Given, implant: str, solids: dict[str, Solid], beside) -> Pull | None:

@@ -102,6 +102,7 @@ class Prepared:
     values : for the record, by their keys.  march : to its times.  beside : values of data files
     that it uses, by name.  reductions : what it need not compute until a time (s).  size : of what
     is computed, in words.  alone : why one process computes it; empty where ranks may, too.
+    nodes : of the lattice that is marched, 0 where there is none.
     """
 
     values: Mapping[str, Value]
@@ -110,6 +111,7 @@ class Prepared:
     reductions: Callable[[float], list[Omission]] = field(default=lambda end: [])
     size: str = ""
     alone: str = ""
+    nodes: int = 0
 
     @property
     def assumed(self) -> list[str]:

@@ -160,7 +160,7 @@ def pit(given: Given) -> Prepared:
         )  # fmt: skip
     kept = _kept(given)
     given.left_over()
-    return Prepared(given.values, march, {}, _reductions(scene, kept), _nodes(scene))
+    return _prepared(given, march, scene, kept)
 
 
 def _salt(given: Given, charge: float) -> SaltFilm | None:
@@ -239,7 +239,7 @@ def grains(given: Given) -> Prepared:
         march_section, scene, _stepping(given, scene), _seed(given), kept=kept
     )
     given.left_over()
-    return Prepared(given.values, march, {}, _reductions(scene, kept), _nodes(scene))
+    return _prepared(given, march, scene, kept)
 
 
 def _reductions(scene: CorrosionScene, kept: list[str]) -> Callable[[float], list[Omission]]:
@@ -256,6 +256,11 @@ def _reductions(scene: CorrosionScene, kept: list[str]) -> Callable[[float], lis
         return [*omissions, activation(scene, end, refused=kept)]
 
     return found
+
+
+def _prepared(given: Given, march: March, scene: CorrosionScene, kept: list[str]) -> Prepared:
+    reductions, nodes = _reductions(scene, kept), scene.metal.size
+    return Prepared(given.values, march, {}, reductions, _nodes(scene), nodes=nodes)
 
 
 def _nodes(scene: CorrosionScene) -> str:

@@ -22,11 +22,12 @@ def open_run(
     stages: Iterable[str] = ("geometry", "corrode", "map"),
     ranks: int = 1,
     workers: int | None = None,
+    march_ranks: int = 1,
 ) -> Iterator[tuple[RunFolder, object]]:
     """Check scene, machine and folder, then create or reopen the folder and hold its lock.
 
-    solid: of the scene, where it has been built already; stages, ranks, workers: what is to be
-    done, for which the machine is checked (readiness.check_machine) unless it all is done.
+    solid: of the scene, where it has been built already; stages, ranks, workers, march_ranks: what
+    is to be done, for which the machine is checked (readiness.check_machine) unless it all is done.
     Yields the folder and the solid (None where the geometry is complete already).  A folder that
     this call created is removed again when nothing in it was completed because of a refusal.
 
@@ -41,12 +42,12 @@ def open_run(
     check_folder(folder, scene, resume)
     if not folder.complete(folder.geometry, "geometry", geometry_hash(scene)):
         solid = solid or build_solid(scene)
-        check_machine(scene, solid, folder.path, ranks, workers, stages)
+        check_machine(scene, solid, folder.path, ranks, workers, stages, march_ranks)
     else:
         solid = None
         if not all_pulled(folder, scene):
             there = read_surface(folder.geometry)
-            check_machine(scene, there, folder.path, ranks, workers, stages)
+            check_machine(scene, there, folder.path, ranks, workers, stages, march_ranks)
     absent = [p for p in (folder.path, *folder.path.absolute().parents) if not p.exists()]
     with folder.lock():
         created = not folder.scene_file.exists()

@@ -22,6 +22,7 @@ from pipeline.scene.units import format_bytes, format_length, format_seconds
 from pipeline.stages.beside import Task, saved
 from pipeline.stages.corrosion import domain_lattice, liquid_domain, march_omissions
 from pipeline.stages.ion_memory import ion_memory
+from pipeline.stages.rank_memory import rank_memory
 from pipeline.stages.sizes import check_screw, check_sizes
 
 BASE_MEMORY = 400e6
@@ -104,10 +105,12 @@ def make_plan(
     workers: int | None = None,
     with_march: bool = False,
     ranks: int = 1,
+    march_ranks: int = 1,
 ) -> Plan:
     """Plan a scene; builds the solid when it is not given.
 
-    workers: pulls at a time, None as many as the cores allow; ranks: MPI ranks per pull.
+    workers: pulls at a time, None as many as the cores allow; ranks: MPI ranks per pull;
+    march_ranks: of each march.
     with_march: also find out what each march can leave out and with which bound; this solves for
     the bound of the liquid's concentration once per alloy.
 
@@ -142,6 +145,7 @@ def make_plan(
     if scene.ions is not None:
         domain = liquid_domain(scene, solid.points)
         march_memory = ion_memory(scene, domain, nodes, metal, len(times))
+    on_ranks = rank_memory(nodes, march_memory, BASE_MEMORY, march_ranks)
     if scene.corrosion.classes:
         triangles, faces = len(solid.triangles), solid.area / scene.lattice.spacing**2
         tasks.append(
@@ -162,9 +166,9 @@ def make_plan(
                 "corrode",
                 alloy.name,
                 f"{nodes:,} nodes ({metal:,} metal), {bonds} bonds each, {labels}"
-                + _ions_in_words(scene),
+                + "; ".join(("", *filter(None, (_ions_in_words(scene), on_ranks.in_words())))),
                 (COST.corrosion_seconds_per_node + ion_seconds) * nodes,
-                BASE_MEMORY + march_memory,
+                on_ranks.all,
                 (COST.disk_bytes_per_node + ion_disk) * nodes * len(times),
             )
         )
@@ -243,7 +247,7 @@ def _ions_in_words(scene: Scene) -> str:
         return ""
     species = len(scene.ions.chemistry["charge_number"])
     minerals = ", ".join(scene.ions.minerals) or "no minerals"
-    return f"; {species} species of {scene.ions.medium}, {minerals}"
+    return f"{species} species of {scene.ions.medium}, {minerals}"
 
 
 def print_plan(plan: Plan) -> None:

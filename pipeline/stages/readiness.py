@@ -49,13 +49,14 @@ def check_machine(
     ranks: int = 1,
     workers: int | None = None,
     stages: Iterable[str] = ("geometry", "corrode", "map", "pull"),
+    march_ranks: int = 1,
 ) -> Plan:
     """Refuse, before anything is written, what this machine cannot do; returns the plan.
 
     stages: those that are to be done; dolfinx and MPI are tried for "pull" only.  Raises
     MemoryError or OSError with one sentence.
     """
-    plan = make_plan(scene, solid, workers, ranks=ranks)
+    plan = make_plan(scene, solid, workers, ranks=ranks, march_ranks=march_ranks)
     stages = set(stages)
     memory, disk = (check(scene, solid, plan, folder, stages) for check in (_memory, _disk))
     if memory.problem:

@@ -406,12 +406,14 @@ class PotentialProblem:
             )
         else:
             self._system.with_extra(patches, diagonal)
-        step = np.zeros(self.sum.padded_shape)
+        step, system = np.zeros(self.sum.padded_shape), self._system
         try:
-            count = self._system.solve(step, right.copy(), wanted)
+            count = system.solve(step, right.copy(), wanted)
         except ConvergenceError:
             self._system = None
             return (*self._held_direction(right, wanted, sink, patches, diagonal), True)
+        finally:
+            system.extra = None  # it holds this problem, whose arrays would outlive it in a circle
         if count > _MANY_ITERATIONS:
             self._system = None  # the slopes have moved away from those of its multigrid
         return step, count, False

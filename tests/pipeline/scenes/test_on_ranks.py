@@ -94,6 +94,24 @@ def test_what_ranks_cannot_share_is_refused(tmp_path, capsys):
     assert not (tmp_path / "run").exists()
 
 
+def test_a_plan_says_what_each_rank_takes(tmp_path, capsys):
+    own = tmp_path / "own.toml"
+    own.write_text(OWN)  # 24 x 12 nodes
+    plan = ["plan", str(own), "--oversubscribe", "--ranks"]
+    assert main([*plan, "1"]) == 0
+    assert "memory: about 400.3 MB\n" in capsys.readouterr().out
+    assert main([*plan, "4"]) == 0
+    said = capsys.readouterr().out
+    assert "4 ranks: 400.1 MB the first, 400.1 MB each other" in said
+    assert "the time on ranks is not measured" in said
+    assert main([*plan, "2", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["seconds"] is None and told["memory"]["ranks"] == 2
+    share, whole = told["memory"]["other"] - 400e6, 1000.0 * 24 * 12
+    assert 0.5 * whole < share < 0.8 * whole < told["memory"]["first"] - 400e6 < whole
+    refused(capsys, ["plan", str(path_of("crevice-625")), *plan[2:], "2"], "it must be 1")
+
+
 @needs_mpirun
 @slow
 def test_blocks_narrower_than_the_reach_are_refused_in_a_sentence(tmp_path, capsys):

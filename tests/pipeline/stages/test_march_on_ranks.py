@@ -13,7 +13,9 @@ from pipeline.scene.resolve import resolve_scene
 from pipeline.stages.corrosion import corrode_in_folder
 from pipeline.stages.march_on_ranks import corrode_on_ranks
 from pipeline.stages.on_ranks import MarchError
+from pipeline.stages.plan import BASE_MEMORY, make_plan
 from tests.pipeline.calibration.test_calibrate import COARSE, PIN
+from tests.pipeline.command_line import refused
 
 RUN = ["--alloy", "Mg-10Gd", "--immersion", "0w", "2w", *PIN, "--spacing", "150um"]
 RUN += ["--horizon", "150um", "--mesh-size", "0.8mm", "--final-strain", "0.02", "--quiet"]
@@ -29,6 +31,17 @@ def test_counts_of_ranks_that_cannot_be_are_refused(tmp_path, capsys):
     assert main(["run", *RUN, "--ranks", "99", "--out", out]) == 2
     assert "--ranks is 99 and this process may use" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
+
+
+def test_a_plan_says_what_each_rank_takes(capsys):
+    scene = resolve_scene(["Mg-10Gd"], ["0w", "2w"], **COARSE)
+    one, four = (make_plan(scene, march_ranks=n).tasks for n in (1, 4))
+    (one,), (four,) = ([t for t in tasks if t.what == "Mg-10Gd"] for tasks in (one, four))
+    assert "rank" not in one.size
+    assert "4 ranks: " in four.size and "time on ranks is not measured" in four.size
+    assert four.memory > one.memory + 3 * BASE_MEMORY  # three processes more
+    plan = ["plan", "--alloy", "Mg-10Gd", "--immersion", "2w", "--ranks"]
+    refused(capsys, [*plan, "0"], "--ranks is 0; it must be 1 to 4096")
 
 
 @pytest.fixture(scope="module")

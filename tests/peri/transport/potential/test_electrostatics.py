@@ -1,5 +1,8 @@
 """The potential between electrodes against closed forms, scalar equations and finite volumes."""
 
+import gc
+import weakref
+
 import numpy as np
 import pytest
 from scipy.optimize import brentq
@@ -33,6 +36,19 @@ def slab(thickness, cells, m, left, right, width=None, walls=True):
     stencil = diffusion_stencil(lattice, m * h)
     liquid = (x >= 0) & (x < cells)
     return lattice, PotentialProblem(lattice, stencil, liquid, electrodes, KAPPA, walls=walls)
+
+
+def test_a_problem_that_nobody_holds_any_more_is_freed_at_once():
+    """A couple makes one whenever a node is gone; its arrays must not wait for the collector."""
+    gc.disable()
+    try:
+        problem = slab(0.1, 20, 2, AE44, STEEL)[1]
+        assert problem.solve().newton > 0
+        known = weakref.ref(problem)
+        del problem
+        assert known() is None
+    finally:
+        gc.enable()
 
 
 @pytest.mark.parametrize("m", [1, 2, 4, 8])
