@@ -114,7 +114,7 @@ class BandedRun(StagedRun):
         samples, times = self.samples[alloy], self.scene.with_intact()
         shared = self._how()
         try:
-            losses = self._losses(alloy, implant, samples)
+            losses, within = self._losses(alloy, implant, samples)
         except SceneError:
             if self.surrogate is None:
                 raise
@@ -130,7 +130,8 @@ class BandedRun(StagedRun):
         )
         later = [m.seconds > 0 for m in times]
         strengths = {
-            hold.name: self._by_curve(tests, hold.name, losses, later) for hold in self.scene.holds
+            hold.name: self._by_curve(tests, hold.name, losses, within, later)
+            for hold in self.scene.holds
         }
         weeks = [604800.0 * week for week in CANDIDATES]
         candidates = sampled_losses(self.scene, alloy, implant, samples, weeks)
@@ -144,15 +145,14 @@ class BandedRun(StagedRun):
         }  # fmt: skip
 
     def _by_curve(
-        self, tests: CurveTests, hold: str, losses: Array, later: Sequence[bool]
+        self, tests: CurveTests, hold: str, losses: Array, within: Array, later: Sequence[bool]
     ) -> Strength:
+        """By a curve between the losses of the samples within the bound of clean liquid."""
         known = losses[:, later]
-        curve = curve_to(
-            tests, hold, float(known.max()), self.tolerance, self.progress.note,
-            smallest_loss=float(known.min()),
-        )  # fmt: skip
+        least, most = float(known[within].min()), float(known[within].max())
+        curve = curve_to(tests, hold, most, self.tolerance, self.progress.note, smallest_loss=least)
         left = np.ones_like(losses)
-        left[:, later] = curve.left(known)
+        left[:, later] = curve.left(np.clip(known, least, most))
         error, ends = curve.error(), curve.losses[[0, -1]]
 
         def slope(loss: float) -> float:
@@ -185,39 +185,41 @@ class BandedRun(StagedRun):
             for hold in banded.strengths
         ]
 
-    def _losses(self, alloy: str, implant: Implant, samples: Samples) -> Array:
-        """V_L of every sample at every time (n, nt), as if all liquid were clean.
+    def _losses(self, alloy: str, implant: Implant, samples: Samples) -> tuple[Array, Array]:
+        """V_L of every sample at every time (n, nt) as if all liquid were clean, and who may be so.
 
-        The bound of that grows with the rate at the start: of the fastest samples a few may go
-        beyond it, which the band's ends do not feel; more, and SceneError is raised.
+        Saturation holds back most of the sample that is fastest at the start, and what dissolves
+        exposes most of the one that has lost most at the end.  Of either a few may go beyond the
+        bound of clean liquid, which the band's ends do not feel (the mask (n,) is False there);
+        more, and SceneError is raised.
         """
         seconds = [moment.seconds for moment in self.scene.with_intact()]
         found = sampled_losses(self.scene, alloy, implant, samples, [*seconds, 1.0])
         losses, at_once = found[:, :-1], found[:, -1]
-        slowest_first = np.argsort(at_once, kind="stable")
-
-        def scene(row: int) -> Scene:
-            return with_constants(self.scene, alloy, samples.constants(row))
-
-        beyond, allowed = 0, int(BEYOND * len(slowest_first))
-        while True:
-            fastest = scene(slowest_first[-1 - beyond])
-            omission = liquid_omission(fastest, alloy, implant, seconds)
-            if omission.applied:
-                break
-            if beyond >= allowed:
-                clean_at(fastest, alloy, implant, seconds)
-            beyond = min(allowed, 2 * beyond + 1)
+        within, allowed = np.ones(len(losses), bool), int(BEYOND * len(losses))
+        bound = 0.0
+        for extent in (at_once, losses[:, -1]):
+            ascending = np.argsort(extent, kind="stable")
+            while True:
+                row = int(ascending[within[ascending]][-1])
+                scene = with_constants(self.scene, alloy, samples.constants(row))
+                omission = liquid_omission(scene, alloy, implant, seconds)
+                if omission.applied:
+                    break
+                beyond = int((~within).sum())
+                if beyond >= allowed:
+                    clean_at(scene, alloy, implant, seconds)
+                more = min(allowed, 2 * beyond + 1) - beyond
+                within[ascending[within[ascending]][-more:]] = False
+            bound = max(bound, omission.bound)
+            self.progress.note(f"{alloy}: liquid is left out of sample {row}: {omission.reason}")
+        beyond = int((~within).sum())
         self.progress.note(
-            f"{alloy}: liquid left out of {len(slowest_first) - beyond} samples, which changes the "
-            f"volume loss by at most {omission.bound:.1e} ({omission.reason})"
+            f"{alloy}: clean liquid changes the volume loss of {len(losses) - beyond} of "
+            f"{len(losses)} samples by {bound:.1e} of it at most"
+            + (f"; up to {beyond} go beyond, and count as if it were clean" if beyond else "")
         )
-        if beyond:
-            self.progress.note(
-                f"{alloy}: up to {beyond} of {len(slowest_first)} samples, the fastest, go beyond "
-                "the bound of clean liquid; they count as if it were clean"
-            )
-        return losses
+        return losses, within
 
 
 def run_with_bands(

@@ -1,16 +1,21 @@
 """Bands of a run: what they need, and what they are on a coarse pin (slow: mechanical tests)."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from peri.engine.omission import Omission
+from peri.omissions.names import LIQUID
 from pipeline.calibration.models import Implant, ReducedModel
-from pipeline.campaigns.banded import samples_of
+from pipeline.campaigns import bands, strength
+from pipeline.campaigns.banded import Samples, samples_of
 from pipeline.campaigns.strength import CurveTests, clean_at
 from pipeline.cli import main
 from pipeline.record.bands import BandRow, read_bands, write_bands
 from pipeline.record.doubts import read_doubts
+from pipeline.record.progress import Progress
 from pipeline.record.summary import read_summary
 from pipeline.scene.resolve import resolve_scene
 from pipeline.scene.scene import SceneError
@@ -91,6 +96,33 @@ def test_tests_of_a_curve_begin_at_the_volume_loss_asked_for(tmp_path):
         tests.time_of(0.999)
 
 
+def test_the_fastest_and_the_farthest_of_the_samples_must_be_within_the_bound(monkeypatch):
+    scene = resolve_scene(["Mg-5Gd"], ["8w"], **COARSE)
+    implant, looked_at = Implant(scene), []
+    # from fast and soon slow to slow and lasting: the first loses most at once, the last in the end
+    rates = np.geomspace(6e-15, 5e-15, 80)
+    values = np.stack([rates, np.geomspace(0.05, 1.0, 80)], axis=1)
+    samples = Samples(("interface_diffusivity", "volume_loss_scale"), values)
+    run = SimpleNamespace(scene=scene, progress=Progress())
+
+    def within(beyond):
+        def omission(changed, alloy, implant, times):
+            rate = changed.alloy(alloy).corrosion.interface_diffusivity
+            looked_at.append(int(np.argmin(np.abs(rates - rate))))
+            return Omission(LIQUID, "so", 1e-4, looked_at[-1] not in beyond)
+
+        monkeypatch.setattr(bands, "liquid_omission", omission)
+        monkeypatch.setattr(strength, "liquid_omission", omission)
+        return bands.BandedRun._losses(run, "Mg-5Gd", implant, samples)
+
+    losses, mask = within(())
+    assert looked_at == [0, 79] and mask.all() and np.argmax(losses[:, -1]) == 79
+    losses, mask = within((0, 79))  # one at either end: two of 80 may go beyond
+    assert np.flatnonzero(~mask).tolist() == [0, 79]
+    with pytest.raises(SceneError, match="cannot be left out"):
+        within((0, 1, 79))
+
+
 @pytest.mark.slow
 def test_bands_of_a_run_hold_its_own_values_and_are_kept(fitted, tmp_path, capsys):
     out = tmp_path / "run"
@@ -99,10 +131,10 @@ def test_bands_of_a_run_hold_its_own_values_and_are_kept(fitted, tmp_path, capsy
     run += ["--parameters", str(fitted), "--samples", "60", "--out", str(out), "--quiet"]
     assert main(run) == 0
     assert "degradation rate" in capsys.readouterr().out
-    rows, bands = read_summary(out / "summary.csv"), read_bands(out / "bands.csv")
+    rows, found = read_summary(out / "summary.csv"), read_bands(out / "bands.csv")
     cases = [("shank", 28.0), ("shank", 84.0), ("faces", 28.0), ("faces", 84.0)]
-    assert [(band.hold, band.immersion_days) for band in bands] == cases
-    for row, band in zip(rows, bands, strict=True):
+    assert [(band.hold, band.immersion_days) for band in found] == cases
+    for row, band in zip(rows, found, strict=True):
         assert (row.hold, row.immersion_days) == (band.hold, band.immersion_days)
         low, middle, high = band.volume_loss
         assert low < row.volume_loss < high and abs(middle / row.volume_loss - 1) < 0.1
@@ -115,7 +147,7 @@ def test_bands_of_a_run_hold_its_own_values_and_are_kept(fitted, tmp_path, capsy
         # the run's own test lies on the curve of the others
         assert abs(middle - row.strength_ratio) < 0.05 and band.strength_curve_error <= 0.02
     # the ends give way sooner than the shank, and their band is its own
-    assert bands[3].strength_ratio[1] < 0.8 * bands[1].strength_ratio[1]
+    assert found[3].strength_ratio[1] < 0.8 * found[1].strength_ratio[1]
     page = (out / "report.html").read_text()
     assert "5 to 95 %" in page and page.count("the layer at the end faces</td>") >= 2
     doubts = {one.hold: one for one in read_doubts(out / "doubts.json")}
