@@ -30,8 +30,9 @@ class Phases:
     volume of each cell.  metal, fixed, free : bool, nodes that are metal, held at zero, and unknown
     liquid.  largest_sum : of the bonds of a node to liquid, 1/m^2.
     walls : conduction along walls, or None.  solid : uint8, which of the scene's solids (from 1) a
-    node was at the start.  box_* : the same on the box; box_seen_liquid : sum of a node's interface
-    bonds to liquid.
+    node was at the start.  box_* : the same on the box; box_seen_liquid, box_seen_metal : sums of a
+    node's interface bonds to liquid and to metal; box_of_fixed : the box's sum on the rows of held
+    nodes.
     """
 
     def __init__(self, scene: CorrosionScene | None, processes: OneProcess = ONE_PROCESS) -> None:
@@ -94,6 +95,13 @@ class Phases:
         out[self.window] = values[self.box.interior]
         return out
 
+    def lattice_nodes(self, nodes: np.ndarray) -> np.ndarray:
+        """Flat indices of the lattice's padded array, of nodes of the box given in its own."""
+        places = np.unravel_index(nodes, self.box.padded_shape)
+        corner = [w.start - r for w, r in zip(self.window, self.box.reach, strict=True)]
+        moved = tuple(p + c for p, c in zip(places, corner, strict=True))
+        return np.ravel_multi_index(moved, self.sum.padded_shape)
+
     def update_phase(self) -> None:
         """Recompute what depends on which nodes are metal."""
         liquid = self.domain & ~self.metal
@@ -115,6 +123,9 @@ class Phases:
             self.box_liquid_volume = self.take(self.liquid_volume)
             self.box_free_volume = self.take(self.free_volume)
             self.box_neighbour_liquid = self.take(self.neighbour_liquid)
+            self.box_seen_metal = self.box(self.box_metal_volume)
+            self.box_fixed_volume = self.take(np.where(self.fixed, self.capacity, 0.0))
+            self.box_of_fixed = self.box.on_rows_of(self.box_fixed_volume > 0)
             self.box_seen_liquid = self.box_neighbour_liquid
             if self.box.stencil is not self.sum.stencil:
                 self.box_seen_liquid = self.box(self.box_liquid_volume)

@@ -338,6 +338,7 @@ def add_diagonal_and_coarse(
     inverse: Array,
     coarse: Array,
     factors: Triple,
+    start: Triple,
     mask: Array,
     z: Array,
     low: Array,
@@ -346,19 +347,23 @@ def add_diagonal_and_coarse(
 ) -> Array:
     """z = mask (inverse r + coarse correction of the cell's aggregate);  returns r . z per plane.
 
-    factors: cells of the fine lattice per coarse cell along each axis; coarse has one ghost.
+    factors: cells of the fine lattice per coarse cell along each axis; coarse has one ghost and
+    begins at the cell `start`.
     """
     ra, rb, rc = reach
     fa, fb, fc = factors
+    sa, sb, sc = start
     partial = np.zeros(low.shape[0])
     for i in prange(low.shape[0]):
         total = 0.0
         for j in range(low.shape[1]):
-            line = coarse[i // fa + 1, j // fb + 1]
+            if high[i, j] <= low[i, j]:
+                continue
+            line = coarse[(i - sa) // fa + 1, (j - sb) // fb + 1]
             for k in range(low[i, j], high[i, j]):
                 kk = k + rc
                 value = inverse[i + ra, j + rb, kk] * r[i + ra, j + rb, kk]
-                value = mask[i + ra, j + rb, kk] * (value + line[k // fc + 1])
+                value = mask[i + ra, j + rb, kk] * (value + line[(k - sc) // fc + 1])
                 z[i + ra, j + rb, kk] = value
                 total += value * r[i + ra, j + rb, kk]
         partial[i] = total

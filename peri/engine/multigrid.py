@@ -49,6 +49,7 @@ class LocalMultigrid:
     ) -> None:
         # Of a cell, the face to its successor.
         t = [face[(slice(None),) * a + (slice(1, None),)] for a, face in enumerate(faces)]
+        self.extent = sink.shape
         self.factors = np.ones(3, np.int64)
         self._before, between = coarsening_plan(sink.shape, spacing, coarsest_start)
         for grow in self._before:
@@ -76,10 +77,11 @@ class LocalMultigrid:
         other.levels[-1].factorise()
         return other
 
-    def restrict(self, residual: np.ndarray, reach: tuple[int, ...]) -> np.ndarray:
-        """Sum a padded fine-lattice residual into the right side of the first level."""
+    def restrict(self, residual: np.ndarray, first: tuple[int, ...]) -> np.ndarray:
+        """Sum a fine-lattice residual, whose box begins at `first`, into the first level."""
         level = self.levels[0]
-        multigrid_kernels.aggregate(residual, reach, tuple(int(f) for f in self.factors), level.b)
+        factors = tuple(int(f) for f in self.factors)
+        multigrid_kernels.aggregate(residual, first, self.extent, factors, level.b)
         return level.b
 
     def cycle(self, index: int = 0) -> np.ndarray:
@@ -92,7 +94,9 @@ class LocalMultigrid:
         for _ in range(visits):
             coarse = self.levels[index + 1]
             level.residual()
-            multigrid_kernels.aggregate(level.r, (1, 1, 1), self.steps[index], coarse.b)
+            multigrid_kernels.aggregate(
+                level.r, (1, 1, 1), level.extent, self.steps[index], coarse.b
+            )
             multigrid_kernels.prolong_add(
                 self.cycle(index + 1), self.steps[index], (1, 1, 1), level.x
             )
@@ -158,6 +162,7 @@ class _Level:
     """Operator and work arrays of one level."""
 
     def __init__(self, sink: np.ndarray, t: list[np.ndarray]) -> None:
+        self.extent = sink.shape
         shape = tuple(n + 2 for n in sink.shape)
         self.t = []
         for face in t:

@@ -11,11 +11,14 @@ from peri.engine.compiled import CONTRACT, Array, Triple, by_size
 
 
 @by_size
-def aggregate(fine: Array, margin: Triple, factors: Triple, coarse: Array) -> None:
-    """coarse cell = sum of its factors[0] x factors[1] x factors[2] fine cells."""
-    ma, mb, mc = margin
+def aggregate(fine: Array, first: Triple, extent: Triple, factors: Triple, coarse: Array) -> None:
+    """coarse cell = sum of its factors[0] x factors[1] x factors[2] fine cells.
+
+    first : index of the first fine cell, of `extent` along each axis.
+    """
+    ma, mb, mc = first
     fa, fb, fc = factors
-    na, nb, nc = fine.shape[0] - 2 * ma, fine.shape[1] - 2 * mb, fine.shape[2] - 2 * mc
+    na, nb, nc = extent
     for ci in prange(coarse.shape[0] - 2):
         for cj in range(coarse.shape[1] - 2):
             row = coarse[ci + 1, cj + 1]

@@ -33,6 +33,12 @@ def _inverse_of(diagonal: np.ndarray) -> np.ndarray:
     return np.where(diagonal > 0, 1.0 / np.where(diagonal > 0, diagonal, 1.0), 0.0)
 
 
+def _faces_of(window: tuple[slice, ...], face: np.ndarray, axis: int) -> np.ndarray:
+    """The faces of a part of the cells, across an axis."""
+    own = window[axis]
+    return face[(*window[:axis], slice(own.start, own.stop + 1), *window[axis + 1 :])]
+
+
 class LinearSystem:
     """(A + shift + extra) u = b on the unknown nodes: conjugate gradients, or BiCGSTAB.
 
@@ -89,13 +95,27 @@ class LinearSystem:
         self._scale, self._inverse, self._unscale = local.scale, inverse, self.mask
         if local.scale is not None:
             self._inverse, self._unscale = inverse * local.scale, self.mask / local.scale
+        self._window = self._part_with_rows()
         self.multigrid = (self.processes.multigrid or LocalMultigrid)(
-            row_sums,
-            local.faces,
+            row_sums[self._window],
+            [_faces_of(self._window, face, a) for a, face in enumerate(local.faces)],
             self.sum.spacing,
             coarsest_start=0.5 * np.multiply(self.sum.spacing, self.sum.reach),
         )
         self._work = [np.zeros(self.sum.padded_shape) for _ in range(4 if self.symmetric else 8)]
+
+    def _part_with_rows(self) -> tuple[slice, ...]:
+        """The box of the rows that the sum works on; the multigrid needs no more than that.
+
+        Blocks of one lattice on several processes keep their whole blocks.
+        """
+        low, high = self.sum.low, self.sum.high
+        rows = high > low
+        if self.processes.multigrid is not None or not rows.any():
+            return tuple(slice(0, n) for n in self.sum.shape)
+        lines = [np.flatnonzero(rows.any(axis=a)) for a in (1, 0)]
+        first, second = (slice(int(n[0]), int(n[-1]) + 1) for n in lines)
+        return first, second, slice(int(low[rows].min()), int(high[rows].max()))
 
     def with_extra(self, extra: Extra, extra_diagonal: np.ndarray) -> None:
         """Take another `extra` and its diagonal, with the multigrid of the one before.
@@ -131,13 +151,16 @@ class LinearSystem:
 
     def precondition(self, r: np.ndarray, z: np.ndarray) -> float:
         """z = B r; returns r . z."""
-        self.multigrid.restrict(r if self._scale is None else self._scale * r, self.sum.reach)
+        start = tuple(w.start for w in self._window)
+        first = tuple(r + s for r, s in zip(self.sum.reach, start, strict=True))
+        self.multigrid.restrict(r if self._scale is None else self._scale * r, first)
         coarse = self.multigrid.cycle()
         product = kernels.add_diagonal_and_coarse(
             r,
             self._inverse,
             coarse,
             tuple(int(f) for f in self.multigrid.factors),
+            start,
             self._unscale,
             z,
             *self.sum.rows,
@@ -308,5 +331,6 @@ class DiffusionSystem(LinearSystem):
         other.diagonal, other.operator = diagonal, self.operator.with_diagonal(diagonal)
         other.extra = None
         other._inverse = _inverse_of(other.operator.diagonal())
-        other.multigrid = self.multigrid.with_sink((sink * self.mask)[self.sum.interior])
+        sink = (sink * self.mask)[self.sum.interior]
+        other.multigrid = self.multigrid.with_sink(sink[self._window])
         return other

@@ -120,6 +120,7 @@ class Multigrid:
         self._anew = functools.partial(
             ranks.multigrid, faces=faces, spacing=spacing, coarsest_start=coarsest_start
         )
+        self._extent = sink.shape
         before, between = coarsening_plan(ranks.shape3, spacing, coarsest_start)
         factors = np.ones(3, np.int64)
         for grow in before:
@@ -145,10 +146,10 @@ class Multigrid:
         """The same for other row sums, (nx, ny, nz)."""
         return self._anew(sink)
 
-    def restrict(self, residual: np.ndarray, reach) -> None:
-        """Sum a padded fine-lattice residual into the right side of the first level."""
+    def restrict(self, residual: np.ndarray, first) -> None:
+        """Sum a fine-lattice residual, whose block begins at `first`, into the first level."""
         multigrid_kernels.aggregate(
-            residual, reach, tuple(int(f) for f in self.factors), self._right
+            residual, first, self._extent, tuple(int(f) for f in self.factors), self._right
         )
         self.held.right.array[:] = self._right[1:-1, 1:-1, 1:-1].ravel()
 
@@ -276,7 +277,11 @@ class _Aggregates:
 
     def multTranspose(self, matrix, fine, coarse) -> None:  # noqa: D102, N802
         multigrid_kernels.aggregate(
-            fine.array_r.reshape(self.fine.own.shape), (0, 0, 0), self.step, self.padded
+            fine.array_r.reshape(self.fine.own.shape),
+            (0, 0, 0),
+            self.fine.own.shape,
+            self.step,
+            self.padded,
         )
         coarse.array[:] = self.padded[1:-1, 1:-1, 1:-1].ravel()
 

@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from peri.corrosion.phases import Phases
+from peri.engine.operators import NonlocalSum
 from peri.engine.processes import OneProcess
 
 
@@ -17,8 +18,8 @@ class Exchange(ABC):
     concentrations, mol/m^3.
 
     theta : saturation factors.  rate : of the bonds, m^2/s times whatever the law multiplies it
-    with.  weight : each metal node's share of the rate, 0 where its bonds are off.
-    storage_share : mean share of a metal node's response that is storage, for the preconditioner.
+    with.  local : each metal node's share of the rate.  weight : the same, 0 where its
+    bonds are off.
     emptied : metal nodes that the stage empties; their content is then their liquid's.
     gained : what emptied nodes receive in the rest of the stage.  couples : whether the metal's
     loss depends on the liquid, so that the liquid's matrix has the metal's share.
@@ -27,15 +28,20 @@ class Exchange(ABC):
     couples = True
     emptied: np.ndarray | None = None
     gained: np.ndarray | float = 0.0
-    storage_share = 1.0
     theta: np.ndarray
     rate: float
+    local: np.ndarray | float
     weight: np.ndarray
 
     def __init__(self, phases: Phases, old: np.ndarray, tau: float) -> None:
         self.p, self.tau = phases, tau
         self.old_metal = phases.take(old)
         self.weight = phases.box_metal.astype(float)
+
+    @property
+    def storage_share(self) -> float:
+        """Mean share of a metal node's response that is storage, for the preconditioner."""
+        return 1.0
 
     @abstractmethod
     def set(self, theta: np.ndarray, rate: float, local: np.ndarray | float = 1.0) -> None:
@@ -50,8 +56,11 @@ class Exchange(ABC):
         """Interface inflow of the free liquid nodes with theta = 1 (times their volume)."""
 
     @abstractmethod
-    def to_refreshed(self, metal: np.ndarray) -> np.ndarray:
-        """Interface inflow per relative volume of liquid held at zero."""
+    def to_refreshed(self, metal: np.ndarray, box: NonlocalSum | None = None) -> np.ndarray:
+        """Interface inflow per relative volume of liquid held at zero.
+
+        box : the box's sum on the rows that are wanted; all of them by default.
+        """
 
     def liquid_gain(self, liquid: np.ndarray) -> np.ndarray:
         """Net interface inflow of the free liquid nodes for given liquid values."""

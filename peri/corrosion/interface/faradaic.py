@@ -26,6 +26,7 @@ from peri.corrosion.metal.solids import Solid
 from peri.corrosion.phases import Phases
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.march.problem import Attempt, Fields, Stage
+from peri.engine.operators import NonlocalSum
 
 _ROUNDS = 200
 _TOLERANCE = 1e-12
@@ -148,7 +149,7 @@ class FaradaicExchange(Exchange):
         self.bonds = theta * p.box_liquid_volume
         self.local = local
         drawn = self.tau * self.rate
-        self._sent = self._passed = self._direct = None
+        self._sent = self._passed = self._direct = self._left = None
         to_liquid = p.box(self.bonds)
         let_in = _over(to_liquid, p.box_seen_liquid)  # mean theta of the liquid that a node sees
         demand = drawn * local * to_liquid
@@ -225,8 +226,14 @@ class FaradaicExchange(Exchange):
 
     def metal_concentration(self, liquid: np.ndarray) -> np.ndarray:
         """C_i = old_i - tau k sum w c theta, at least 0; the liquid plays no part."""
-        value = self.old_metal - self.on * self.demand
-        return np.where(self.p.box_metal & ~self.emptied, value, 0.0)
+        if self._left is None:
+            value = self.old_metal - self.on * self.demand
+            self._left = np.where(self.p.box_metal & ~self.emptied, value, 0.0)
+        return self._left
+
+    def liquid_gain(self, liquid: np.ndarray) -> np.ndarray:
+        """Net interface inflow of the free liquid nodes; no content plays a part."""
+        return self.theta * self.offered(liquid, liquid)
 
     def late(self) -> float:
         """Share of the stage's flux that nodes emptied late do not deliver.
@@ -245,7 +252,7 @@ class FaradaicExchange(Exchange):
         """Interface inflow of the free liquid nodes with theta = 1."""
         return self.p.box_free_volume * self.to_refreshed(metal)
 
-    def to_refreshed(self, metal: np.ndarray) -> np.ndarray:
+    def to_refreshed(self, metal: np.ndarray, box: NonlocalSum | None = None) -> np.ndarray:
         """Interface inflow of the box's nodes per relative volume, passed on or not."""
         p = self.p
         if self._direct is None:

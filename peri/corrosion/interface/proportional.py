@@ -16,6 +16,7 @@ from peri.corrosion.metal.solids import Solid
 from peri.corrosion.phases import Phases
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.march.problem import Attempt
+from peri.engine.operators import NonlocalSum
 
 LATE = 4.0
 """Weight of what a step exposes too late, as a change of the rate."""
@@ -63,13 +64,14 @@ class ProportionalExchange(Exchange):
     """Metal-liquid exchange of one stage on the box around the metal.
 
     on : switch of each metal node's bonds, 0 or 1.  weight : the same times the node's own rate
-    (kinetics that differ from node to node).
+    (kinetics that differ from node to node).  seen_metal : sum of a node's bonds to metal times
+    weight.
     """
 
     def __init__(self, phases: Phases, old: np.ndarray, tau: float) -> None:
         super().__init__(phases, old, tau)
         self.on = self.weight
-        self.seen_metal = phases.box(phases.box_metal_volume)
+        self.seen_metal = phases.box_seen_metal
 
     def switch_off(self, saturated_volume: np.ndarray) -> None:
         """Algorithm 1: no exchange for metal nodes that see saturated liquid."""
@@ -95,19 +97,30 @@ class ProportionalExchange(Exchange):
     def set(self, theta: np.ndarray, rate: float, local: np.ndarray | float = 1.0) -> None:
         """Fix the saturation factors, the interface diffusivity (m^2/s) and the nodes' shares."""
         p = self.p
-        self.theta, self.rate = theta, rate
+        self.theta, self.rate, self.local = theta, rate, local
         self.weight = self.on * local
         if np.ndim(local):
             self.seen_metal = p.box(p.box_metal_volume * self.weight)
         self.bonds = theta * p.box_liquid_volume
         self.outflow = rate * self.weight * p.box(self.bonds)
-        decay = 1.0 / self.tau + self.outflow
-        self.response = np.divide(self.weight**2, decay, out=np.zeros_like(decay), where=decay > 0)
-        metal = p.box_metal
-        decay = 1.0 / self.tau + self.outflow[metal]
+        self._response: np.ndarray | None = None
+
+    def _responses(self) -> np.ndarray:
+        """What a metal node gives per mol/(m^3 s) that flow into it, s, times its volume."""
+        if self._response is None:
+            decay, out = 1.0 / self.tau + self.outflow, np.zeros_like(self.outflow)
+            response = np.divide(self.weight**2, decay, out=out, where=decay > 0)
+            self._response = self.p.box_metal_volume * response
+        return self._response
+
+    @property
+    def storage_share(self) -> float:
+        """See Exchange."""
+        total = self.p.processes.total
+        decay = 1.0 / self.tau + self.outflow[self.p.box_metal]
         stored = np.divide(1.0 / self.tau, decay, out=np.ones_like(decay), where=decay > 0)
-        count = p.processes.total(stored.size)
-        self.storage_share = p.processes.total(float(stored.sum())) / count if count else 1.0
+        count = total(stored.size)
+        return total(float(stored.sum())) / count if count else 1.0
 
     def metal_concentration(self, liquid: np.ndarray) -> np.ndarray:
         """C_i = (old_i / tau + D sum theta w c C_j) / (1 / tau + D sum theta w c)."""
@@ -118,7 +131,7 @@ class ProportionalExchange(Exchange):
     def through_metal(self, liquid: np.ndarray) -> np.ndarray:
         """What liquid values send to each node by way of the metal (weights of the metal in)."""
         inflow = self.rate * self.p.box(self.bonds * liquid)
-        return self.p.box(self.p.box_metal_volume * self.response * inflow)
+        return self.p.box(self._responses() * inflow)
 
     def offered(self, metal: np.ndarray, liquid) -> np.ndarray:
         """Interface inflow of the free liquid nodes with theta = 1, for given values."""
@@ -126,9 +139,9 @@ class ProportionalExchange(Exchange):
             self.to_refreshed(metal) - self.rate * self.seen_metal * liquid
         )
 
-    def to_refreshed(self, metal: np.ndarray) -> np.ndarray:
+    def to_refreshed(self, metal: np.ndarray, box: NonlocalSum | None = None) -> np.ndarray:
         """Interface inflow per relative volume of liquid held at zero."""
-        return self.rate * self.p.box(self.p.box_metal_volume * self.weight * metal)
+        return self.rate * (box or self.p.box)(self.p.box_metal_volume * self.weight * metal)
 
     def diagonal(self) -> np.ndarray:
         """The liquid's own share of its outflow into the metal."""

@@ -108,17 +108,25 @@ class Balance:
         return 0.0
 
     def release_rate(
-        self, liquid: np.ndarray, exchange: Exchange | None, metal: np.ndarray | None
+        self,
+        liquid: np.ndarray,
+        exchange: Exchange | None,
+        metal: np.ndarray | None,
+        gain: np.ndarray | None = None,
     ) -> float:
-        """Amount that reaches the refreshed nodes per second, mol/s."""
+        """Amount that reaches the refreshed nodes per second, mol/s.
+
+        gain : sum over the bonds of what the liquid holds, where the caller has it.
+        """
         p = self.phases
         if not p.is_open:
             return 0.0
-        gain = p.flow(p.liquid_volume * liquid)
+        if gain is None:
+            gain = p.flow(p.liquid_volume * liquid)
         rate = p.scene.liquid_diffusivity * float((gain * p.capacity)[p.fixed].sum())
         if p.walls is not None:
             rate += float(p.walls.flow(liquid)[p.fixed].sum())
         if exchange is not None and metal is not None:
-            fixed = p.take(np.where(p.fixed, p.capacity, 0.0))
-            rate += float((exchange.to_refreshed(metal) * fixed).sum())
+            inflow = exchange.to_refreshed(metal, p.box_of_fixed)
+            rate += float((inflow * p.box_fixed_volume).sum())
         return p.processes.total(rate) * p.scene.lattice.cell_volume

@@ -129,32 +129,32 @@ class BiMaterial(InterfaceRates):
             share = np.where(self.free_volume > 0, self.free_volume, np.inf)
             transport = transport + self.walls.flow(liquid) / share
         new = np.where(self.free, old + step * transport, 0.0)
-        theta, metal, state = None, None, None
+        theta, state, before = None, None, None
         if self.box is not None:
             state = scene.dissolution.exchange(self, old, np.inf)
+            before = state.old_metal
             if scene.saturation == "as_published":
                 full = self.free & (old >= scene.saturation_concentration)
                 state.switch_off(np.where(full, self.capacity, 0.0))
             theta = (self.box_liquid_volume > 0).astype(float)
-            box_liquid = self.take(liquid)
-            rate, local = self.interface_rate(
-                volume_loss, self.seen_liquid(box_liquid), self.lost(self.take(old))
-            )
-            state.set(theta, rate, local)
-            drawn = rate * state.weight * self.box(state.bonds * box_liquid)
-            state.hold_back(state.old_metal + step * (drawn - state.outflow * state.old_metal))
-            seen = self.box(self.box_metal_volume * state.weight * state.old_metal)
-            inflow = step * rate * (seen - state.seen_metal * box_liquid)
+            here, at = self.take(liquid), self.rates_at(old, volume_loss)
+            state.set(theta, at.rate, at.local)
+            drawn = at.rate * state.weight * at.inflow
+            metal = before + step * (drawn - state.outflow * before)
+            changed = state.hold_back(metal)
+            seen = self.box(self.box_metal_volume * state.weight * before)
+            inflow = step * at.rate * (seen - state.seen_metal * here)
             inflow = np.where(self.box_free_volume > 0, inflow, 0.0)
             if scene.saturation == "complementarity":
                 room = np.maximum(scene.saturation_concentration - self.take(new), 0.0)
                 full = inflow > room
                 theta[full] = room[full] / inflow[full]
-            state.set(theta, rate, local)
+                changed |= self.processes.any(full.any())
+            if changed:
+                state.set(theta, at.rate, at.local)
+                drawn = at.rate * state.weight * self.box(state.bonds * here)
+                metal = before + step * (drawn - state.outflow * before)
             new[self.window] += (theta * inflow)[self.box.interior]
-            drawn = rate * state.weight * self.box(state.bonds * box_liquid)
-            metal = state.old_metal + step * (drawn - state.outflow * state.old_metal)
             view = new[self.window]
             view[self.box_metal[self.box.interior]] = metal[self.box_metal]
-            metal = state.old_metal
-        return new, self.balance.release_rate(liquid, state, metal), theta
+        return new, self.balance.release_rate(liquid, state, before, gain), theta

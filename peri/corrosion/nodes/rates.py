@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from operator import is_
+
 import numpy as np
 
 from peri.corrosion.kinetics import Exposed
@@ -9,6 +12,22 @@ from peri.corrosion.nodes.balance import Balance
 from peri.corrosion.phases import Phases
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.processes import ONE_PROCESS, OneProcess
+
+
+@dataclass(frozen=True)
+class RatesAt:
+    """The interface at given concentrations, on the box: what an explicit step looks at.
+
+    asked : volume loss and D_int of then.  rate, local : as InterfaceRates.interface_rate.
+    inflow : sum over the bonds of what the liquid holds.  seen_metal : sum of a node's bonds to
+    metal times its share of the rate.
+    """
+
+    asked: tuple[float, float]
+    rate: float
+    local: np.ndarray | float
+    inflow: np.ndarray
+    seen_metal: np.ndarray
 
 
 class InterfaceRates(Phases):
@@ -39,6 +58,7 @@ class InterfaceRates(Phases):
         self.balance = Balance(self)
         self.base_diffusivity = self.scene.base_interface_diffusivity()
         self.surface: dict[str, np.ndarray | float] = {}
+        self._at: tuple[RatesAt, list[np.ndarray | float]] | None = None
 
     def coat(self, share: float) -> None:
         """Let the interface carry a share of what it carries bare, from now on."""
@@ -61,28 +81,55 @@ class InterfaceRates(Phases):
                 share = np.where(self.free_volume > 0, self.free_volume, np.inf)
                 rates = rates + self.walls.diagonal / share
             if self.box is not None:
-                known, gone = None, None
-                if concentration is not None:
-                    known = self.seen_liquid(self.take(np.where(self.metal, 0.0, concentration)))
-                    gone = self.lost(self.take(concentration))
-                g, local = self.interface_rate(0.0, known, gone)
-                metal = self.box(self.box_metal_volume * local)
+                if concentration is None:
+                    g, local = self.interface_rate(0.0)
+                    metal = self.box(self.box_metal_volume * local)
+                else:
+                    at = self.rates_at(concentration, 0.0)
+                    g, local, metal = at.rate, at.local, at.seen_metal
                 seen = np.where(self.box_free_volume > 0, metal, 0.0)
                 rates[self.window] += (g * seen)[self.box.interior]
-                seen = (local * self.box(self.box_liquid_volume))[self.box_metal]
+                seen = (local * self.box_seen_liquid)[self.box_metal]
                 in_metal = g * float(seen.max(initial=0.0))
             largest = self.processes.largest
             self._rates = largest(float(rates.max())), largest(in_metal)
         return self._rates
 
-    def seen_liquid(self, liquid: np.ndarray) -> np.ndarray | None:
+    def rates_at(self, concentration: np.ndarray, volume_loss: float) -> RatesAt:
+        """The interface at concentrations, a padded array that stays as it is.
+
+        The last answer is kept: an explicit step's limit and the step itself ask for the same.
+        """
+        if "volume_loss" not in self.scene.needs:
+            volume_loss = 0.0
+        asked = [concentration, self.metal, *self.surface.values()]
+        if self._at is not None and len(asked) == len(self._at[1]):
+            at, before = self._at
+            if at.asked == (volume_loss, self.base_diffusivity) and all(map(is_, asked, before)):
+                return at
+        liquid = self.take(np.where(self.metal, 0.0, concentration))
+        inflow = self.box(self.box_liquid_volume * liquid)
+        known, gone = self.seen_liquid(liquid, inflow), self.lost(self.take(concentration))
+        rate, local = self.interface_rate(volume_loss, known, gone)
+        seen_metal = self.box_seen_metal
+        if np.ndim(local):
+            seen_metal = self.box(self.box_metal_volume * local)
+        at = RatesAt((volume_loss, self.base_diffusivity), rate, local, inflow, seen_metal)
+        self._at = at, asked
+        return at
+
+    def seen_liquid(
+        self, liquid: np.ndarray, inflow: np.ndarray | None = None
+    ) -> np.ndarray | None:
         """Mean concentration over the bonds of each metal node to liquid, where laws look at it.
 
-        liquid : padded box array.
+        liquid : padded box array.  inflow : its sum over the bonds, where the caller has it.
         """
         if "concentration" not in self.scene.needs:
             return None
-        inflow, bonds = self.box(self.box_liquid_volume * liquid), self.box_seen_liquid
+        if inflow is None:
+            inflow = self.box(self.box_liquid_volume * liquid)
+        bonds = self.box_seen_liquid
         seeing = self.box_metal & (bonds > 0)
         return np.divide(inflow, bonds, out=np.zeros_like(bonds), where=seeing)
 

@@ -25,7 +25,7 @@ _MAXIMUM_ROUNDS = 60
 _LOSS_TOLERANCE = 1e-9
 """How well a stage knows its volume loss."""
 _DRIFT = 1e-7
-"""How well a stage has to know the liquid that the kinetics sees, relative."""
+"""How well the rates of a stage have to agree with the liquid that they lead to, relative."""
 _ROUND_REDUCTION = 0.1
 _ROUND_OFF = 4 * np.finfo(float).eps
 """Of a sum over bonds relative to its largest terms: no residual is known better."""
@@ -112,10 +112,11 @@ class StageSolver:
         # Of the beginning: with that of the end a step in which an active node loses more than a
         # film stands has two solutions, and rounds may end in the one whose film is broken.
         gone = d.lost(exchange.old_metal)
+        known, _ = seen.settle(d.seen_liquid(d.take(y)))
+        by_loss, agreed = "volume_loss" in d.scene.needs, False
         while rounds < _MAXIMUM_ROUNDS:
             rounds += 1
             liquid = d.take(y)
-            known, drift = seen.settle(d.seen_liquid(liquid))
             volume_loss = self._settle_rate(exchange, held.theta, volume_loss, liquid, known, gone)
             view = y[d.window]
             view[held.active[d.box.interior]] = saturated
@@ -123,9 +124,16 @@ class StageSolver:
                 filled.fill(exchange.metal_concentration(liquid))
             count, solved = self._solve_liquid(y, right, exchange, held.active)
             iterations += count
-            metal = exchange.metal_concentration(d.take(y))
+            liquid = d.take(y)
+            metal = exchange.metal_concentration(liquid)
             loss = d.balance.loss_of(metal)
-            settled = solved and abs(loss - volume_loss) <= _LOSS_TOLERANCE and drift <= _DRIFT
+            if solved or not agreed:
+                found = d.seen_liquid(liquid)
+                agreed = self._rates_hold(exchange, loss, found, gone)
+                if not agreed:
+                    known, _ = seen.settle(found)
+            same_rate = not by_loss or abs(loss - volume_loss) <= _LOSS_TOLERANCE
+            settled = solved and same_rate and agreed
             volume_loss = loss
             if d.scene.saturation == "complementarity":
                 settled, stalled = held.next(y, metal, loss, settled)
@@ -173,8 +181,9 @@ class StageSolver:
         clean = np.zeros_like(exchange.old_metal)
         on = (d.box_liquid_volume > 0).astype(float)
         known, gone = d.seen_liquid(clean), d.lost(exchange.old_metal)
-        loss = self._settle_rate(exchange, on, volume_loss, clean, known, gone)
+        self._settle_rate(exchange, on, volume_loss, clean, known, gone)
         metal = exchange.metal_concentration(clean)
+        loss = d.balance.loss_of(metal)
         lost = ((exchange.old_metal - metal) * d.box_metal_volume)[d.box_metal].sum()
         release = d.processes.total(float(lost)) * d.scene.lattice.cell_volume / tau
         result = np.zeros_like(old)
@@ -193,16 +202,35 @@ class StageSolver:
         seen_liquid: np.ndarray | None,
         lost: np.ndarray | None,
     ) -> float:
-        """V_L that agrees with the rate it causes, for given liquid concentrations."""
+        """Set the rate; V_L that agrees with it where it goes by V_L, for given liquid."""
         d = self.d
 
         def loss_at(loss: float) -> float:
             exchange.set(theta, *d.interface_rate(loss, seen_liquid, lost))
             return d.balance.loss_of(exchange.metal_concentration(liquid))
 
-        if "volume_loss" not in d.scene.needs:
-            return loss_at(volume_loss)  # the rate is that, whatever is lost
+        if "volume_loss" not in d.scene.needs:  # the rate is that, whatever is lost
+            exchange.set(theta, *d.interface_rate(volume_loss, seen_liquid, lost))
+            return volume_loss
         return settled_loss(loss_at, volume_loss, 0.1 * _LOSS_TOLERANCE, _MAXIMUM_ROUNDS)
+
+    def _rates_hold(
+        self,
+        exchange: Exchange,
+        volume_loss: float,
+        seen_liquid: np.ndarray | None,
+        lost: np.ndarray | None,
+    ) -> bool:
+        """Whether the nodes' rates are those of the liquid that they lead to.
+
+        Not the liquid itself: off the ramp of a film it may change without any rate doing so.
+        """
+        if seen_liquid is None:
+            return True
+        local = np.asarray(self.d.interface_rate(volume_loss, seen_liquid, lost)[1])
+        off, most = np.abs(local - exchange.local).max(), local.max()
+        largest = self.d.processes.largest
+        return largest(float(off)) <= _DRIFT * largest(float(most))
 
     # --- liquid ---------------------------------------------------------------------------
 
@@ -334,12 +362,13 @@ class StageSolver:
         """The metal's share of the liquid's matrix (it is eliminated), as an in-place update."""
         d = self.d
         unknown = d.take(system.weight)
+        own = exchange.diagonal() * (unknown > 0)
+        back = exchange.theta * unknown * exchange.rate
 
         def add(u: np.ndarray, y: np.ndarray) -> float:
-            box_u = np.where(unknown > 0, d.take(u), 0.0)
-            through = exchange.through_metal(box_u)
-            share = exchange.diagonal() * (unknown > 0) * box_u
-            share -= exchange.theta * unknown * exchange.rate * through
+            box_u = d.take(u)
+            share = own * box_u
+            share -= back * exchange.through_metal(box_u)
             y[d.window] += share[d.box.interior]
             return float(kernels.inner_product(share, box_u).sum())
 
@@ -397,15 +426,21 @@ class _Held:
 
     def _balance(self, y: np.ndarray, metal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Inflow that each active node needs to stay at C_sat, and what theta = 1 would bring."""
-        d, diffusivity = self.d, self.d.scene.liquid_diffusivity
+        d, tau, diffusivity = self.d, self.right.tau, self.d.scene.liquid_diffusivity
         available = self.exchange.offered(metal, d.scene.saturation_concentration)
-        gain, here = d.take(d.flow(d.liquid_volume * y)), d.take(y)
-        spread = diffusivity * (gain - d.box_neighbour_liquid * here)
-        needed = (here - d.take(self.right.old)) / self.right.tau - spread
-        needed = d.box_free_volume * needed
+        nodes = np.flatnonzero(self.active)  # few: only they and their bonds are looked at
+        there = d.lattice_nodes(nodes)
+        here = y.ravel()[there]
+        gain = d.flow.at(d.liquid_volume * y, there)
+        spread = diffusivity * (gain - d.neighbour_liquid.ravel()[there] * here)
+        balance = (here - self.right.old.ravel()[there]) / tau - spread
+        balance = d.free_volume.ravel()[there] * balance
         if d.walls is not None:
-            needed = needed - d.take(d.walls.flow(y))
+            balance = balance - d.walls.flow(y).ravel()[there]
         if self.right.pores is not None:
             pores = self.right.pores
-            needed = needed + (pores.volume * here - pores.before) / self.right.tau
-        return np.where(self.active, needed, 0.0), np.maximum(available, 0.0)
+            stored = pores.volume.ravel()[nodes] * here - pores.before.ravel()[nodes]
+            balance = balance + stored / tau
+        needed = np.zeros_like(available)
+        needed.ravel()[nodes] = balance
+        return needed, np.maximum(available, 0.0)
