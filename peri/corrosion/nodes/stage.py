@@ -113,7 +113,8 @@ class StageSolver:
         # film stands has two solutions, and rounds may end in the one whose film is broken.
         gone = d.lost(exchange.old_metal)
         known, _ = seen.settle(d.seen_liquid(d.take(y)))
-        by_loss, agreed = "volume_loss" in d.scene.needs, False
+        # Rates and what pores hold follow from the loss of the round before.
+        by_loss, agreed = "volume_loss" in d.scene.needs or filled is not None, False
         while rounds < _MAXIMUM_ROUNDS:
             rounds += 1
             liquid = d.take(y)
@@ -132,8 +133,8 @@ class StageSolver:
                 agreed = self._rates_hold(exchange, loss, found, gone)
                 if not agreed:
                     known, _ = seen.settle(found)
-            same_rate = not by_loss or abs(loss - volume_loss) <= _LOSS_TOLERANCE
-            settled = solved and same_rate and agreed
+            same_loss = not by_loss or abs(loss - volume_loss) <= _LOSS_TOLERANCE
+            settled = solved and same_loss and agreed
             volume_loss = loss
             if d.scene.saturation == "complementarity":
                 settled, stalled = held.next(y, metal, loss, settled)
