@@ -95,13 +95,6 @@ class Phases:
         out[self.window] = values[self.box.interior]
         return out
 
-    def lattice_nodes(self, nodes: np.ndarray) -> np.ndarray:
-        """Flat indices of the lattice's padded array, of nodes of the box given in its own."""
-        places = np.unravel_index(nodes, self.box.padded_shape)
-        corner = [w.start - r for w, r in zip(self.window, self.box.reach, strict=True)]
-        moved = tuple(p + c for p, c in zip(places, corner, strict=True))
-        return np.ravel_multi_index(moved, self.sum.padded_shape)
-
     def update_phase(self) -> None:
         """Recompute what depends on which nodes are metal."""
         liquid = self.domain & ~self.metal

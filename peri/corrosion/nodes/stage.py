@@ -113,8 +113,9 @@ class StageSolver:
         # film stands has two solutions, and rounds may end in the one whose film is broken.
         gone = d.lost(exchange.old_metal)
         known, _ = seen.settle(d.seen_liquid(d.take(y)))
-        # Rates and what pores hold follow from the loss of the round before.
-        by_loss, agreed = "volume_loss" in d.scene.needs or filled is not None, False
+        # What pores hold follows from the metal of the round before, as rates do from its loss.
+        by_loss, agreed = "volume_loss" in d.scene.needs, False
+        by_loss |= filled is not None and exchange.couples
         while rounds < _MAXIMUM_ROUNDS:
             rounds += 1
             liquid = d.take(y)
@@ -427,21 +428,15 @@ class _Held:
 
     def _balance(self, y: np.ndarray, metal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Inflow that each active node needs to stay at C_sat, and what theta = 1 would bring."""
-        d, tau, diffusivity = self.d, self.right.tau, self.d.scene.liquid_diffusivity
+        d, diffusivity = self.d, self.d.scene.liquid_diffusivity
         available = self.exchange.offered(metal, d.scene.saturation_concentration)
-        nodes = np.flatnonzero(self.active)  # few: only they and their bonds are looked at
-        there = d.lattice_nodes(nodes)
-        here = y.ravel()[there]
-        gain = d.flow.at(d.liquid_volume * y, there)
-        spread = diffusivity * (gain - d.neighbour_liquid.ravel()[there] * here)
-        balance = (here - self.right.old.ravel()[there]) / tau - spread
-        balance = d.free_volume.ravel()[there] * balance
+        gain, here = d.take(d.flow(d.liquid_volume * y)), d.take(y)
+        spread = diffusivity * (gain - d.box_neighbour_liquid * here)
+        needed = (here - d.take(self.right.old)) / self.right.tau - spread
+        needed = d.box_free_volume * needed
         if d.walls is not None:
-            balance = balance - d.walls.flow(y).ravel()[there]
+            needed = needed - d.take(d.walls.flow(y))
         if self.right.pores is not None:
             pores = self.right.pores
-            stored = pores.volume.ravel()[nodes] * here - pores.before.ravel()[nodes]
-            balance = balance + stored / tau
-        needed = np.zeros_like(available)
-        needed.ravel()[nodes] = balance
-        return needed, np.maximum(available, 0.0)
+            needed = needed + (pores.volume * here - pores.before) / self.right.tau
+        return np.where(self.active, needed, 0.0), np.maximum(available, 0.0)
