@@ -328,6 +328,10 @@ class CorrosionScene:
 
         return share_stencil(self.stencil, front)
 
+    def nearest_stencil(self) -> Stencil:
+        """Weights 1 of the next cells along each axis, on an octant like the stencil's."""
+        return nearest_of(self.stencil)
+
     @property
     def interface_stencil(self) -> Stencil:
         """Bond weights across the interface, of unit interface diffusivity."""
@@ -395,6 +399,14 @@ class CorrosionScene:
             out *= total / out.sum()
         rest = np.where(self.domain, 1.0 - share, 0.0)
         return out + np.where(liquid, rest, 0.0) + hand_over(np.where(metal, rest, 0.0), liquid)
+
+
+def nearest_of(stencil: Stencil) -> Stencil:
+    """Weights 1 of the next nodes along each axis, on an octant of a stencil's size."""
+    octant = np.zeros(stencil.octant.shape)
+    for axis in np.eye(stencil.dimension, dtype=int):
+        octant[tuple(axis)] = 1.0
+    return Stencil(octant, stencil.spacing)
 
 
 def front_strength(stencil: Stencil, flux_calibration: str) -> float:

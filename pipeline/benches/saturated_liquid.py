@@ -12,7 +12,6 @@ radial shells.
 from __future__ import annotations
 
 import csv
-import math
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -123,29 +122,26 @@ def _limit(alloy: str) -> NDArray[np.float64]:
 
 
 def ball_in_own_liquid(surface: Surface, ratios: tuple[int, ...]) -> list[Result]:
-    """Largest errors of V_L over 1, 3 and 7 days, and their observed order; one position each.
+    """Largest errors of V_L over 1, 3 and 7 days; one position each.
+
+    They change their sign with time and show no order: from two spacings on they are within 1 %.
 
     surface: of a ball of radius 1.
     """
     exact = saturated_ball(2.0, FREE, DIFFUSIVITY, SATURATED, TIMES)
-    results, errors = [], []
+    results = []
     for ratio in ratios:
         shift = np.random.default_rng(ratio).random(3)
         scene = in_own_liquid(surface, ratio, shift, "proportional", FREE, DIFFUSIVITY, SATURATED)
         start = time.process_time()
         found = corrode(scene, TIMES, TimeStepping(rate_change=0.05))
         seconds = time.process_time() - start
-        errors.append(float(np.abs(found.volume_loss / exact - 1).max()))
+        error = float(np.abs(found.volume_loss / exact - 1).max())
         name = f"ball in liquid at C_sat, delta/{ratio}"
-        target = {4: "<= 1e-2"}.get(ratio)
         results += [
-            Result(f"{name}: error of V_L", errors[-1], "1", target),
+            Result(f"{name}: error of V_L", error, "1", "<= 1e-2"),
             Result(f"{name}: march", seconds, "s processor"),
         ]
-    if len(ratios) > 1:
-        order = math.log(errors[0] / errors[-1]) / math.log(ratios[-1] / ratios[0])
-        name = f"ball in liquid at C_sat: order, delta/{ratios[0]} to delta/{ratios[-1]}"
-        results.append(Result(name, order, "1", ">= 1.5"))
     return results
 
 

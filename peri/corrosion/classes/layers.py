@@ -13,7 +13,7 @@ from math import gcd
 import numpy as np
 from numpy.typing import NDArray
 
-from peri.corrosion.scene import CorrosionScene
+from peri.corrosion.scene import CorrosionScene, nearest_of
 from peri.engine.influence import (
     Stencil,
     closed_constant,
@@ -55,6 +55,10 @@ class LayeredScene(CorrosionScene):
     def cut_cell_stencil(self, front: FlatFront) -> Stencil:
         """See CorrosionScene.cut_cell_stencil."""
         return self._summed(share_stencil(self._full(), front))
+
+    def nearest_stencil(self) -> Stencil:
+        """See CorrosionScene.nearest_stencil."""
+        return self._summed(nearest_of(self._full()))
 
     def _full(self) -> Stencil:
         size = 2 * int(np.ceil(self.horizon / self.lattice.spacing[0])) + 3

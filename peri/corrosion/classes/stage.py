@@ -120,9 +120,9 @@ class StageSolver:
             classes = bonds.correct(classes, change, saturated)
             theta = bonds_on
         ageing = bonds.ageing(classes)
-        self._close(y, classes, old, old_classes, tau * release, active)
+        unclosed = self._close(y, classes, old, old_classes, tau * release, active)
         loss = self.cells.volume_loss(classes)
-        release -= returned / tau
+        release += (unclosed - returned) / tau
         return CellStage(y, classes, ageing, theta, loss, release, iterations, rounds)
 
     def _repaid(self, old: Array, owed: Array | None, theta: Array) -> tuple[Array, float]:
@@ -196,8 +196,12 @@ class StageSolver:
         rate += float((bonds.arriving(classes) * held).sum())
         return self.cells.processes.total(rate) * self.cells.scene.lattice.cell_volume
 
-    def _close(self, y, classes, old, old_classes, released, active) -> None:
-        """Scale liquid (or the metal's loss) so that the amounts add up to round-off."""
+    def _close(self, y, classes, old, old_classes, released, active) -> float:
+        """Scale liquid (or the metal's loss) so that the amounts add up to round-off.
+
+        The metal stays within its bounds: where it is emptied, what is released takes the rest (the
+        result, mol).
+        """
         total = self.cells.processes.total
         content = self.cells.free_share * y
         missing = float((self.cells.free_share * old).sum()) - float(content.sum())
@@ -208,4 +212,9 @@ class StageSolver:
         if liquid > 0 and abs(missing) <= 1e-6 * liquid:
             y[solved] *= 1.0 + missing / liquid
         elif lost > 0 and abs(missing) <= 1e-3 * lost:
-            classes += missing / lost * (old_classes - classes)
+            room = np.minimum(old_classes - classes, classes)
+            whole = total(float(self.cells.volume @ room))
+            if abs(missing) >= 1e-3 * whole:
+                return missing * self.cells.scene.lattice.cell_volume
+            classes += missing / whole * room
+        return 0.0

@@ -129,6 +129,23 @@ def test_each_class_and_the_liquid_have_their_exposures():
     assert np.abs(plain - wanted).sum() / wanted.sum() > 0.05  # without nu
 
 
+def test_liquid_sees_nearly_what_its_middles_see():
+    cells = Cells(brick())
+    lattice = cells.scene.lattice
+    x, y, z = (np.broadcast_to(a, lattice.shape) for a in lattice.coordinates())
+    spacing = lattice.spacing[0]
+    middle = cells.sum.pad(x**2 + y**2 + z**2)
+    mean = middle + spacing**2 / 4
+    moved = cells.at_middles(mean)
+    there = tuple(r + n for r, n in zip(cells.sum.reach, (1, 4, 4), strict=True))
+    assert cells.share[there] == 1 and moved[there] < mean[there]
+    assert moved[there] == pytest.approx(0.3 * mean[there] + 0.7 * middle[there], rel=1e-12)
+    # what a cell gives the next ones receive
+    seen = cells.sum.pad(9.0 + np.maximum(2.0 - x**2 - y**2 - z**2, 0.0) ** 3)
+    total = (cells.share * seen).sum()
+    assert (cells.share * cells.at_middles(seen)).sum() == pytest.approx(total, rel=1e-12)
+
+
 def test_clean_liquid_is_the_scalar_equation():
     scene = brick(
         boundary="refreshed", liquid_diffusivity=1e4, saturation_concentration=0.5,

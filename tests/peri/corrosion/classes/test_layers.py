@@ -6,6 +6,7 @@ import pytest
 from peri.corrosion.classes.layers import LayeredScene, plate_layers
 from peri.corrosion.kinetics import ConstantRate
 from peri.corrosion.run import corrode
+from peri.corrosion.scene import nearest_of
 from peri.engine.influence import diffusion_stencil
 from peri.engine.lattice import Lattice
 from peri.engine.march.marching import TimeStepping
@@ -46,7 +47,8 @@ def test_bonds_are_those_of_the_whole_lattice(normal):
     there = (layer >= 0) & (layer < share.size)
     field = np.where(there, share[np.clip(layer, 0, share.size - 1)], 0.0)
     for one, all_layers in (
-        (full, scene.stencil), (share_stencil(full, front), scene.cut_cell_stencil(front))
+        (full, scene.stencil), (share_stencil(full, front), scene.cut_cell_stencil(front)),
+        (nearest_of(full), scene.nearest_stencil()),
     ):  # fmt: skip
         near = NonlocalSum(one, whole.shape)
         wanted = near.crop(near(near.pad(field)))[4, 4, 2]
