@@ -21,7 +21,7 @@ def mapping_of(scene: Scene, test: TensileScene) -> str:
 def by_nodes_because(scene: Scene, test: TensileScene) -> str:
     """Why the damage of a scene is interpolated between the nodes; "" where exposures give it."""
     if test.mapping == NODES:
-        return "as --mapping nodes asks"
+        return "--mapping nodes"
     if not scene.corrosion.classes:
         return "each node has one rate"
     if scene.corrosion.dissolution != "proportional":

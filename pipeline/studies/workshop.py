@@ -27,6 +27,8 @@ from pipeline.record.children import end_with_parent
 from pipeline.record.machine import child_environment
 from pipeline.record.run_folder import write_json
 from pipeline.record.stage_hashes import STAGE_REVISION
+from pipeline.scene.mapping import mapping_of
+from pipeline.scene.mechanics import EXPOSURES
 from pipeline.scene.resolve import resolve_scene
 from pipeline.scene.scene import Scene
 from pipeline.scene.units import parse_immersion_times
@@ -178,7 +180,9 @@ class Workshop:
             tolerance=scene.corrosion.tolerance,
         )
         seconds = time.process_time() - begun
-        dose, more = doses(result.scene, result.concentration), {}
+        by_exposures = mapping_of(scene, scene.tensile) == EXPOSURES
+        dose = doses(result.scene, result.concentration) if by_exposures else None
+        more: dict[str, object] = {}
         if dose is not None:
             np.savez(self.folder / SURFACE_FILE, points=solid.points, triangles=solid.triangles)
             names = ("horizon", "kernel_exponent", "influence")

@@ -32,6 +32,7 @@ OPTIONS = [
     *("--alloy", "Mg-5Gd", "Mg-10Gd", "--immersion", "0w", "8w", "--thread", "none"),
     *("--spacing", "250um", "--horizon", "250um", "--mesh-size", "0.6mm", "--element", "P1"),
     *("--radial-margin", "0.5mm", "--axial-margin", "0.5mm", "--final-strain", "0.05"),
+    *("--mapping", "auto"),
 ]
 ROOT = Path(__file__).resolve().parents[2]
 LABELS = ("0w", "8w")
@@ -81,6 +82,7 @@ KEYWORDS = {
     "radial_margin": "500um",
     "axial_margin": 0.0005,
     "final_strain": 0.05,
+    "mapping": "auto",
 }
 """OPTIONS as a person may give them in Python, alloys and times apart."""
 
@@ -216,7 +218,7 @@ def test_a_cells_skin_is_gone_first_where_the_scene_allows_exposures(run, tmp_pa
     assert (told["mapping"], told["mapping_because"]) == ("exposures", "")
     assert np.array_equal(damage, by_default) and damage.max() <= 2 / 3 + 1e-12
     numbers, by_nodes = mapped("nodes", folder / "corrosion")
-    assert (numbers["mapping"], numbers["mapping_because"]) == ("nodes", "as --mapping nodes asks")
+    assert (numbers["mapping"], numbers["mapping_because"]) == ("nodes", "--mapping nodes")
     assert by_nodes.shape == damage.shape and np.abs(by_nodes - damage).max() > 0.02
     # where exposures turned out not to say what went there
     blind = tmp_path / "corrosion"

@@ -209,9 +209,9 @@ def test_the_screw_by_exposures_is_the_same_on_two_lattices(tmp_path):
                 layers = np.histogram(at[..., 2], edges, weights=left)[0] / volume
                 carried[ratio, name] = layers[7:33].min(), layers[-1]
                 print(ratio, name, carried[ratio, name])
-    # 1, 8 and 24 weeks; with points that do not look at the surface -4.9, -1.5 and -0.1 %
-    print(missed)
-    assert max(map(abs, missed.values())) < 5e-3
-    assert carried[3, "exposures"] == pytest.approx((0.7452, 0.1669), abs=5e-4)
-    assert carried[2, "exposures"] == pytest.approx(carried[3, "exposures"], abs=1e-3)
-    assert carried[3, "nodes"] == pytest.approx((0.7337, 0.1299), abs=5e-4)
+    # after 1, 8 and 24 weeks -0.7, 0.1 and 0.2 % on a third of the horizon, -0.8, 0.1 and 0.1 % on
+    # half of it; points spread evenly over a cell miss 4.9, 1.5 and 0.1 %
+    assert max(map(abs, missed.values())) < 0.01
+    assert carried[3, "exposures"] == pytest.approx((0.7488, 0.1714), abs=5e-4)
+    assert carried[2, "exposures"] == pytest.approx(carried[3, "exposures"], abs=2e-3)
+    assert carried[3, "nodes"] == pytest.approx((0.7337, 0.1284), abs=5e-4)
