@@ -25,6 +25,8 @@ log = logging.getLogger(__name__)
 _SMALL_PART = 0.45
 """Of the lattice: a larger part is not cut out for the multigrid, whose cycle takes a sixth to a
 quarter of a solution; below it a lacy cover takes 0.8 of the time (MEASURED.md of peri)."""
+_LARGE = 50_000
+"""Cells of a lattice below which nothing is cut out, since a cycle is cheap."""
 
 Extra = Callable[[np.ndarray, np.ndarray], float]
 
@@ -116,7 +118,8 @@ class LinearSystem:
         """
         low, high = self.sum.low, self.sum.high
         rows, whole = high > low, tuple(slice(0, n) for n in self.sum.shape)
-        if self.processes.multigrid is not None or not rows.any():
+        large = math.prod(self.sum.shape) >= _LARGE
+        if self.processes.multigrid is not None or not (large and rows.any()):
             return whole
         lines = [np.flatnonzero(rows.any(axis=a)) for a in (1, 0)]
         first, second = (slice(int(n[0]), int(n[-1]) + 1) for n in lines)

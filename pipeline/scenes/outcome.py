@@ -51,6 +51,22 @@ class Panel:
 
 
 @dataclass(frozen=True)
+class Section:
+    """A picture of values over a section, grey where they are NaN (metal).
+
+    values : (nx, ny).  x, y : places of the nodes along its axes.  of : what the values are.
+    """
+
+    title: str
+    along: str
+    across: str
+    x: np.ndarray
+    y: np.ndarray
+    values: np.ndarray
+    of: str
+
+
+@dataclass(frozen=True)
 class Outcome:
     """A run.
 
@@ -64,7 +80,7 @@ class Outcome:
     history: Mapping[str, np.ndarray]
     units: Mapping[str, str]
     summary: Mapping[str, tuple[float, str]]
-    panels: Sequence[Panel]
+    panels: Sequence[Panel | Section]
     wall_time: float
 
 

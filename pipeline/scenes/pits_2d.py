@@ -19,7 +19,7 @@ from peri.engine.lattice import Lattice
 from peri.engine.march.marching import TimeStepping
 from peri.engine.results import Field, axes_of
 from peri.omissions.activation import corrode_activated
-from pipeline.scenes.outcome import HERE, Curve, Marchers, Outcome, Panel
+from pipeline.scenes.outcome import HERE, Curve, Marchers, Outcome, Panel, Section
 from pipeline.scenes.pits import CHARGE_NUMBER, STEEL_304, closing, outcome_of
 from pipeline.scenes.salt import film_fields, film_summary
 
@@ -195,7 +195,18 @@ def march_section(
         for n, name in enumerate(("depth", "width", "width at the surface"))
     ]
     axis = f"time / {unit}"
+    liquid = ~result.metal[-1] & scene.domain
+    there = np.where(liquid, result.concentration[-1] / scene.saturation_concentration, np.nan)
     panels = [
+        Section(
+            f"Section after {moments[-1]:.4g} {unit}, metal grey",
+            "along the sheet / um",
+            "depth / um",
+            x,
+            surface,
+            there,
+            "metal ions over C_sat",
+        ),
         Panel("Bottom of the attack", "along the sheet / um", "depth / um", bottoms),
         Panel("Size of the attack", axis, "um", sizes),
         Panel("Metal lost", axis, "mm²", [Curve("metal", passed, 1e6 * lost)]),

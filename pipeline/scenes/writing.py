@@ -7,14 +7,17 @@ import io
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from peri.corrosion.results import write_history
 from peri.engine.results import write_result
 from pipeline.record.run_folder import write_text
-from pipeline.scenes.outcome import Outcome, Panel, Prepared
+from pipeline.scenes.outcome import Outcome, Panel, Prepared, Section
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 SCHEMA_VERSION = 1
 RESULT_FILE, HISTORY_FILE, SUMMARY_FILE = "result.h5", "history.csv", "summary.csv"
@@ -60,7 +63,7 @@ def _table(outcome: Outcome) -> str:
     return text.getvalue()
 
 
-def draw(panels: list[Panel] | tuple[Panel, ...], path: Path) -> None:
+def draw(panels: Sequence[Panel | Section], path: Path) -> None:
     """The panels side by side, two in a row; one that is left over has a row of its own."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -73,13 +76,16 @@ def draw(panels: list[Panel] | tuple[Panel, ...], path: Path) -> None:
         row, column = divmod(place, 2)
         alone = place == len(panels) - 1 and column == 0
         axes = figure.add_subplot(grid[row, :] if alone else grid[row, column])
+        axes.set_title(panel.title, fontsize=11)
+        if isinstance(panel, Section):
+            _draw_section(panel, axes)
+            continue
         for n, curve in enumerate(panel.curves):
             style = "" if curve.dots else "--" if n >= 8 else "-"
             mark = "o" if curve.dots or len(curve.x) < 12 else ""
             axes.plot(curve.x, curve.y, style, marker=mark, ms=3, lw=1.3, label=curve.name)
         if panel.logarithmic:
             axes.set_yscale("log")
-        axes.set_title(panel.title, fontsize=11)
         axes.set_xlabel(panel.x)
         axes.set_ylabel(panel.y)
         axes.grid(True, linewidth=0.3)
@@ -91,6 +97,17 @@ def draw(panels: list[Panel] | tuple[Panel, ...], path: Path) -> None:
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _draw_section(section: Section, axes: Axes) -> None:
+    """Values by colour, each node as a cell; metal grey."""
+    x, y = section.x, section.y
+    image = axes.pcolormesh(x, y, np.ma.masked_invalid(section.values.T), shading="nearest")
+    axes.set_facecolor("0.75")
+    axes.set_aspect("equal")
+    axes.set_xlabel(section.along)
+    axes.set_ylabel(section.across)
+    axes.figure.colorbar(image, ax=axes, label=section.of, location="bottom")
 
 
 def write_series(folder: Path, outcome: Outcome) -> list[Path]:

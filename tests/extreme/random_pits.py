@@ -1,8 +1,9 @@
 """Random pits and their bounds, a part of `python -m tests.extreme.random_couples`.
 
 Sheets in one and two dimensions, with liquid on one or both sides (a pit may go through), closed or
-refreshed; bare, or passive below a critical concentration but for nuclei; grains of several rates;
-C_sat/C_solid from 1e-6 to 0.9, currents over six decades, one step or many.
+refreshed; bare, or passive below a critical concentration but for nuclei, films that break; grains
+of several rates; islands that stay or dissolve; C_sat/C_solid from 1e-6 to 0.9, currents over six
+decades, one step or many.
 """
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from peri.corrosion.kinetics import ConstantRate
 from peri.corrosion.metal.bond_damage import BondDamage
 from peri.corrosion.metal.solids import Solid
-from peri.corrosion.passivity import Repassivation
+from peri.corrosion.passivity import Repassivation, Rupture
 from peri.corrosion.run import corrode
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.lattice import Lattice
@@ -34,6 +35,12 @@ def random_pit(seed: int) -> tuple[CorrosionScene, float, TimeStepping]:
     film = Repassivation(
         saturated * float(rng.uniform(0.2, 0.95)), saturated, float(rng.choice([0.0, 1e-3, 0.5]))
     )
+    other = np.random.default_rng([seed, 1])
+    if other.uniform() < 0.4:
+        film = Rupture(
+            film.critical_concentration, saturated, film.passive_share, None,
+            float(other.uniform(0.05, 0.9)),
+        )  # fmt: skip
     solids = (
         Solid(SOLID, kinetics=film if rng.uniform() < 0.5 else ConstantRate()),
         Solid(SOLID, rate=10.0 ** rng.uniform(-2, 0), kinetics=ConstantRate()),
@@ -51,6 +58,7 @@ def random_pit(seed: int) -> tuple[CorrosionScene, float, TimeStepping]:
         dissolution="faradaic",
         solids=solids,
         phase=phase.astype(np.uint8),
+        detached="dissolve" if other.uniform() < 0.3 else "keep",
     )
     end = float(rng.uniform(0.5, 8)) * spacing * SOLID / flux
     return scene, end, TimeStepping(step=end / int(rng.choice([1, 7, 30])))

@@ -13,6 +13,7 @@ from peri.engine.march.marching import TimeStepping
 from pipeline.cli import main
 from pipeline.scenes import grains, pits, pits_2d
 from pipeline.scenes.files import read_scene
+from pipeline.scenes.outcome import Section
 from pipeline.scenes.registry import path_of, shipped
 from tests.pipeline.command_line import refused
 
@@ -164,6 +165,10 @@ def test_a_film_of_salt_lies_at_the_bottom_of_a_pit():
     largest = found.summary["potential over it, largest"][0]
     assert largest == drop[1].max() and 0.02 < largest < 0.5
     assert [p.title for p in found.panels][-1] == "Salt film"
+    picture = found.panels[0]
+    assert isinstance(picture, Section)
+    np.testing.assert_array_equal(np.isnan(picture.values), found.fields["metal"].values[-1])
+    assert np.nanmax(picture.values) == pytest.approx(1.0, rel=1e-9)  # saturated at its bottom
 
 
 def test_a_long_step_breaks_no_film():
