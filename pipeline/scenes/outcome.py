@@ -52,7 +52,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class Section:
-    """A picture of values over a section, grey where they are NaN (metal).
+    """A picture of values over a section, grey where they are NaN (no liquid).
 
     values : (nx, ny).  x, y : places of the nodes along its axes.  of : what the values are.
     """

@@ -197,9 +197,10 @@ def march_section(
     axis = f"time / {unit}"
     liquid = ~result.metal[-1] & scene.domain
     there = np.where(liquid, result.concentration[-1] / scene.saturation_concentration, np.nan)
+    grey = "metal" if scene.domain.all() else "metal and mask"
     panels = [
         Section(
-            f"Section after {moments[-1]:.4g} {unit}, metal grey",
+            f"Section after {moments[-1]:.4g} {unit}, {grey} grey",
             "along the sheet / um",
             "depth / um",
             x,

@@ -100,7 +100,7 @@ def draw(panels: Sequence[Panel | Section], path: Path) -> None:
 
 
 def _draw_section(section: Section, axes: Axes) -> None:
-    """Values by colour, each node as a cell; metal grey."""
+    """Values by colour, each node as a cell; grey where there are none."""
     x, y = section.x, section.y
     image = axes.pcolormesh(x, y, np.ma.masked_invalid(section.values.T), shading="nearest")
     axes.set_facecolor("0.75")
