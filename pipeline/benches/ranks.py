@@ -49,5 +49,5 @@ def ranks(
 
 
 def small_ranks() -> list[Result]:
-    """The same with 34,000, 6,000 and 1,200 nodes."""
-    return ranks(200e-6, 180e-6, 500e-6, 1)
+    """The same with 34,000, 6,000 and 7,500 nodes."""
+    return ranks(200e-6, 180e-6, 200e-6, 1)
