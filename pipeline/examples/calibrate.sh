@@ -1,7 +1,7 @@
 #!/bin/sh
 # From measured volume losses to constants, and from these to bands of the strength left.
-# Cost: two and a half minutes of processor time.  One rate per node (--classes 0): with rate classes the
-# liquid's bound for the fastest samples may reach saturation, so that bands need --surrogate.
+# Cost: two and a half minutes of processor time, with one rate per node (--classes 0).  Left out of both
+# commands, rate classes are taken, the default.
 set -e
 measured="$(dirname "$0")/measured.csv"
 

@@ -137,6 +137,20 @@ def random_scene(seed):
     ), 10.0 ** rng.uniform(-2, 6)  # fmt: skip
 
 
+@pytest.mark.parametrize("seed", [155, pytest.param(210, marks=pytest.mark.slow)])
+def test_closed_vessels_that_saturate_end(seed):
+    """155: new liquid dilutes its cell in every step; 210: liquid that is mixed in every step."""
+    scene, end = random_scene(seed)
+    found = corrode(scene, [0.1 * end, end], TimeStepping(rate_change=0.3))
+    assert np.abs(found.history["balance_error"]).max() < 1e-11
+    assert np.diff(found.history["volume_loss"]).min() > -1e-9
+    assert found.history["saturated_nodes"].max() > 100
+    # it crept on in ever shorter steps, thousands of them; measured 54 and 124
+    assert found.history["time"].size < 250
+    lasting = found.volume_loss[1] - found.volume_loss[0]
+    assert found.volume_loss[1] > 0.015 and abs(lasting) < 1e-5
+
+
 @pytest.mark.slow
 def test_random_scenes_with_random_classes():
     ended, moved = 0, 0

@@ -237,13 +237,47 @@ class CellProblem(FirstOrder):
         new = attempt.stages[-1].fields["classes"]
         change = new - attempt.old.fields["classes"]
         progress = total(float(cells.volume @ np.abs(change)))
-        if progress <= 0.1 * cells.tolerance * cells.metal_scale:
+        least = max(0.1 * cells.tolerance * cells.metal_scale, self._round_off(attempt))
+        if progress <= least:
             return 0.0
         away = cells.volume * (change - attempt.expected["classes"])
         by_class = CLASS_BONDS[self.scene.dissolution.name].by_class
-        off = total(float((np.abs(away) if by_class else away).sum())) / progress
+        off = abs(total(float((np.abs(away) if by_class else away).sum()))) / progress
+        if not by_class and len(attempt.stages) == 1:
+            off = min(off, self._off_the_last(attempt) / progress)
         late = self._late(new, attempt.stages[-1].fields["life"])
-        return max(attempt.share * abs(off), _LATE * late)
+        return max(attempt.share * off, _LATE * late)
+
+    def _round_off(self, attempt: Attempt) -> float:
+        """Amount (over a cell's volume) that round-off moves between cells held at C_sat.
+
+        Liquid at C_sat is known to its last digit, which flows off D_liq w step times in a step.
+        """
+        new = attempt.stages[-1].fields
+        held = (new["theta"] < 1.0) & self.cells.free
+        flow = self.cells.free_share * self.cells.neighbour_share * new["concentration"]
+        moved = self.processes.total(float(flow[held].sum()))
+        return np.finfo(float).eps * attempt.step * self.scene.liquid_diffusivity * moved
+
+    def _off_the_last(self, attempt: Attempt) -> float:
+        """How far the metal's loss is off that of the step before, as a first-order step errs.
+
+        The rate at a step's start is no measure where a flux fills what has just turned liquid:
+        it does so at once, as much in each step as the one before left, however short steps are.
+        """
+        old, previous, before = attempt.old, attempt.previous, attempt.previous_step
+        if not before > 0:
+            return np.inf
+
+        def metal(volume: np.ndarray, classes: np.ndarray) -> float:
+            return self.processes.total(float(volume @ classes))
+
+        volume, classes = self.cells.volume, old.fields["classes"]
+        lost = metal(volume, classes - attempt.stages[-1].fields["classes"])
+        last = metal(previous.fields["volume"], previous.fields["classes"])
+        growth = attempt.step / before
+        off = abs(lost - growth * (last - metal(volume, classes)))
+        return off * growth / (1.0 + growth)
 
     def _late(self, classes: np.ndarray, life: np.ndarray) -> float:
         """Share of the interface's flux that a step takes from what goes with it."""

@@ -21,6 +21,7 @@ _LOSS_TOLERANCE = 1e-9
 _DRIFT = 1e-7
 """How well a stage has to know the liquid that the kinetics sees, relative."""
 _ROUND_REDUCTION = 0.1
+_ROUND_OFF = 2.0**-52
 _NOTHING = 1e-30
 """Of the metal: liquid that washes out is not solved for below it, down to where numbers end."""
 
@@ -71,6 +72,7 @@ class StageSolver:
         old, returned = self._repaid(old, owed, theta)
         active = (theta < 1.0) & reached
         law = CLASS_BONDS[self.cells.scene.dissolution.name]
+        stiffness = tau * self.cells.scene.liquid_diffusivity * self.cells.neighbour_share
         iterations, stall = 0, saturation.Stall()
         whole: Array | None = None  # what all cells need, where nothing changed since
         seen = FixedPoint(self.cells.processes)
@@ -80,18 +82,19 @@ class StageSolver:
             guessed, drift = seen.settle(self.cells.seen_liquid(y))
             bonds = law(self.cells, theta, old_classes, tau, guessed)
             volume_loss = bonds.settle(y, volume_loss)
-            whole = self._needed(y, old, tau) if whole is None else whole
-            count, solved = self._solve(y, old, tau, bonds, active, whole)
+            level = saturated if anywhere(active.any()) else 0.0
+            whole = self._needed(y, old, tau, level) if whole is None else whole
+            count, solved = self._solve(y, old, tau, bonds, active, whole, stall.idle > 0)
             iterations += count
             classes = bonds.classes(y)
             loss = self.cells.volume_loss(classes)
             settled = solved and abs(loss - volume_loss) <= _LOSS_TOLERANCE and drift <= _DRIFT
             volume_loss = loss
-            whole = self._needed(y, old, tau)
+            whole = self._needed(y, old, tau, level)
             needed = np.where(active, whole, 0.0)
             available = np.where(reached, np.maximum(bonds.offered(classes, saturated), 0.0), 0.0)
             new_active, new_theta = saturation.next_active_set(
-                active, np.where(reached, y, 0.0), needed, available, saturated
+                active, np.where(reached, y, 0.0), needed, available, saturated, stiffness
             )
             bonds_on = np.maximum(new_theta, 0.0)
             off = (np.abs(bonds_on - theta) * available)[active]
@@ -142,16 +145,27 @@ class StageSolver:
         returned = cells.processes.total(float((cells.held_share * back).sum()))
         return old, returned * cells.scene.lattice.cell_volume
 
-    def _flow(self, y: Array) -> Array:
-        """D_liq sum_k w_jk c_k (C_k - C_j) per relative volume; held cells at zero."""
-        d = self.cells.scene.liquid_diffusivity
-        return d * (self.cells.sum(self.cells.free_share * y) - self.cells.neighbour_share * y)
+    def _flow(self, y: Array, level: float) -> Array:
+        """D_liq sum_k w_jk c_k (C_k - C_j) per relative volume; held cells at zero.
 
-    def _needed(self, y: Array, old: Array, tau: float) -> Array:
-        return self.cells.free_share * ((y - old) / tau - self._flow(y))
+        level : from which concentrations are counted: C_sat where cells are held at it, so that
+        round-off makes no flow between those.
+        """
+        cells, above = self.cells, y - level
+        flow = cells.sum(cells.free_share * above) - cells.neighbour_share * above
+        if level and cells.processes.any(cells.held_share.any()):
+            flow -= level * cells.sum(cells.held_share)
+        return cells.scene.liquid_diffusivity * flow
 
-    def _solve(self, y, old, tau, bonds, active, needed) -> tuple[int, bool]:
-        """Improve y in place on the cells that are not active; needed: of all cells, for y."""
+    def _needed(self, y: Array, old: Array, tau: float, level: float) -> Array:
+        return self.cells.free_share * ((y - old) / tau - self._flow(y, level))
+
+    def _solve(self, y, old, tau, bonds, active, needed, wholly) -> tuple[int, bool]:
+        """Improve y in place on the cells that are not active; needed: of all cells, for y.
+
+        wholly : to the tolerance, where rounds of the active set that know the liquid roughly
+        have begun to come back to the same sets.
+        """
         weight = np.where(active, 0.0, self.cells.free_share)
         unknown = weight > 0
         d = self.cells.scene.liquid_diffusivity
@@ -180,8 +194,10 @@ class StageSolver:
         scale = self._norm(self.cells.free_share * old) / tau + self._norm(gain)
         least = _NOTHING * self.cells.metal_scale / tau
         wanted = self.cells.tolerance * max(scale, least)
+        # No liquid written in floating point comes closer.
+        wanted = max(wanted, _ROUND_OFF * self._norm(weight * diagonal * y))
         enough = max(wanted, _ROUND_REDUCTION * self._norm(r))
-        enough = enough if anywhere(active.any()) else wanted
+        enough = enough if anywhere(active.any()) and not wholly else wanted
         return system.solve(y, r, enough), enough <= wanted
 
     def _norm(self, values: Array) -> float:
@@ -210,7 +226,11 @@ class StageSolver:
         solved = self.cells.free & ~active
         liquid, lost = total(float(content[solved].sum())), total(lost)
         if liquid > 0 and abs(missing) <= 1e-6 * liquid:
-            y[solved] *= 1.0 + missing / liquid
+            grown = 1.0 + missing / liquid
+            if missing <= 0 or self._takes(grown * y[solved]):
+                y[solved] *= grown
+            else:
+                self._fill(y, classes, missing, solved)
         elif lost > 0 and abs(missing) <= 1e-3 * lost:
             room = np.minimum(old_classes - classes, classes)
             whole = total(float(self.cells.volume @ room))
@@ -218,3 +238,24 @@ class StageSolver:
                 return missing * self.cells.scene.lattice.cell_volume
             classes += missing / whole * room
         return 0.0
+
+    def _takes(self, liquid: Array) -> bool:
+        """Whether liquid of these concentrations is not above C_sat, where that bounds it."""
+        scene = self.cells.scene
+        if scene.saturation != "complementarity":
+            return True
+        over = liquid > scene.saturation_concentration * (1.0 + 1e-12)
+        return not self.cells.processes.any(over.any())
+
+    def _fill(self, y: Array, classes: Array, missing: float, solved: Array) -> None:
+        """Add an amount to liquid as far as C_sat, and what is left to the metal that lost most."""
+        cells, total = self.cells, self.cells.processes.total
+        saturated, solid = cells.scene.saturation_concentration, cells.scene.solid_concentration
+        room = np.where(solved, np.maximum(saturated - y, 0.0), 0.0)
+        whole = total(float((cells.free_share * room).sum()))
+        share = min(1.0, missing / whole) if whole > 0 else 0.0
+        y += share * room
+        lost = np.where(cells.volume > 0, np.maximum(solid - classes, 0.0), 0.0)
+        there = total(float(cells.volume @ lost))
+        if there > 0:
+            classes += (missing - share * whole) / there * lost

@@ -22,6 +22,7 @@ def next_active_set(
     needed: np.ndarray,
     available: np.ndarray,
     saturation_concentration: float,
+    stiffness: np.ndarray | float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """One primal-dual step: the new active set and theta on it.
 
@@ -29,6 +30,8 @@ def next_active_set(
     concentration : array, mol/m^3.
     needed, available : arrays, the interface inflow that keeps a node at C_sat, and the inflow
         that its bonds would carry with theta = 1 (mol/(m^3 s) times relative volume).
+    stiffness : how often a node's content flows off in the step.  What it has beyond C_sat counts
+        with what leaves it for that, so that it is no source for those held at C_sat.
 
     Returns
     -------
@@ -36,7 +39,8 @@ def next_active_set(
         a free node joins when it exceeds C_sat.
     """
     stays = active & (needed <= available) & (available > 0)
-    joins = ~active & (concentration > saturation_concentration * (1 + 1e-12))
+    beyond = (concentration - saturation_concentration) * (1.0 + stiffness)
+    joins = ~active & (beyond > 1e-12 * saturation_concentration)
     ratio = np.divide(needed, available, out=np.ones_like(needed), where=available > 0)
     # Not clipped at zero: a need that is negative by round-off stays in the mass balance.
     theta = np.where(stays, np.minimum(ratio, 1.0), 1.0)
