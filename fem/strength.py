@@ -38,7 +38,7 @@ from fem.tearing import torn_cells
 
 log = logging.getLogger(__name__)
 
-_FAILURES = 4  # in a row, after which cells are taken as torn or Newton goes on for longer
+_FAILURES = 2  # in a row, after which cells are taken as torn or Newton goes on for longer
 _UNEVEN = 3.0  # of increments next to the peak
 
 
