@@ -131,8 +131,8 @@ MARCHES = {
     "pores": (gap, (3e3,), TimeStepping("backward_euler", step=500.0)),
     "pores-closed": (
         partial(gap, boundary="no_flux", renewed=None),
-        (4e3,),
-        TimeStepping("backward_euler", step=2e3),
+        (2e3,),
+        TimeStepping("backward_euler", step=500.0),
     ),
     "alone": (alone_scene, (1.5 * DAY,), TimeStepping("backward_euler", step=0.25 * DAY)),
 }
