@@ -39,6 +39,7 @@ from fem.tearing import torn_cells
 log = logging.getLogger(__name__)
 
 _FAILURES = 2  # in a row, after which cells are taken as torn or Newton goes on for longer
+_AFTER_REMOVAL = 1 / 32  # of the size: with cells gone there is a jump to settle, whatever it is
 _UNEVEN = 3.0  # of increments next to the peak
 
 
@@ -303,6 +304,9 @@ class _Test:
         log.info("strain %.5f: %s, halving the increment", strain, outcome.reason)
         march.halve()
         if march.failures < _FAILURES:
+            if self.lost_cells > march.rows[-1]["lost_cells"]:
+                march.size *= _AFTER_REMOVAL
+                self.solver.maximum_iterations = 2 * self.settings.maximum_iterations
             return False
         # after as many failures again, what runs away on the way to no equilibrium is torn
         at = march.displacement if march.failures < 2 * _FAILURES else tried
@@ -310,7 +314,6 @@ class _Test:
             march.undo_halvings()
             self.solver.maximum_iterations = self.settings.maximum_iterations
             return self._parted()
-        # what is left to settle is the last removal, which no smaller step makes less
         self.solver.maximum_iterations = 2 * self.settings.maximum_iterations
         return False
 
