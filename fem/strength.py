@@ -23,7 +23,7 @@ from fem.constitutive.gurson import LAGGED, LIMIT
 from fem.constitutive.laws import Laws
 from fem.constitutive.material import Material
 from fem.damage_length import DamageLength
-from fem.discretisation import Discretisation, build
+from fem.discretisation import build
 from fem.loading import Load, MovingGrip
 from fem.march import March
 from fem.newton import INVERTED_PREDICTION, Equilibrium, EquilibriumSolver
@@ -497,6 +497,3 @@ def peak_of_curve(elongation: np.ndarray, force: np.ndarray) -> tuple[float, flo
     if not x[0] <= top <= x[2]:
         return float(x[1]), float(y[1])
     return float(top), float(y[0] + (rise + bend * (top - x[1])) * (top - x[0]))
-
-
-__all__ = ["Discretisation", "TensileResult", "TensileSettings", "peak_of_curve", "tensile_test"]
