@@ -290,7 +290,8 @@ class Volumes:
         left = self.columns.thinned(volume, life)
         # What is left keeps what the class holds above C_end, so that it stays below C_solid; a
         # class is gone when it holds no more than that, or next to nothing.
-        left = np.maximum(left, volume * np.maximum(classes - ends, 0.0) / (solid - ends))
+        held = np.clip((classes - ends) / (solid - ends), 0.0, 1.0)
+        left = np.maximum(left, volume * held)
         there = (classes > self.gone) & (left > _THINNEST * self.initial_volume)
         left = np.where(there, left, 0.0)
         grown = self.initial_free + self.scatter(self.initial_volume - left)
