@@ -38,7 +38,7 @@ from fem.tearing import torn_cells
 
 log = logging.getLogger(__name__)
 
-_FAILURES = 2  # in a row, after which cells are taken as torn or Newton goes on for longer
+_FAILURES = 4  # in a row, after which cells are taken as torn or Newton goes on for longer
 _AFTER_REMOVAL = 1 / 32  # of the size: with cells gone there is a jump to settle, whatever it is
 _UNEVEN = 3.0  # of increments next to the peak
 
@@ -304,7 +304,7 @@ class _Test:
         log.info("strain %.5f: %s, halving the increment", strain, outcome.reason)
         march.halve()
         if march.failures < _FAILURES:
-            if self.lost_cells > march.rows[-1]["lost_cells"]:
+            if march.failures == 1 and self.lost_cells > march.rows[-1]["lost_cells"]:
                 march.size *= _AFTER_REMOVAL
                 self.solver.maximum_iterations = 2 * self.settings.maximum_iterations
             return False
