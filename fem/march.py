@@ -28,6 +28,7 @@ class March:
     rows: list[dict[str, float]] = field(default_factory=list)  # see TensileResult.history
     halvings: int = 0  # of the size, since the last accepted increment
     failures: int = 0  # the same, but since cells were last torn
+    shrunk: float = 1.0  # share of the size that these failures have left
 
     def accept(self, displacement: np.ndarray) -> None:
         """Stand at a new equilibrium, one increment further."""
@@ -41,16 +42,16 @@ class March:
             self.size = min(1.5 * self.size, largest)
         elif iterations > _HARD:
             self.size *= 0.7
-        self.halvings = self.failures = 0
+        self.halvings, self.failures, self.shrunk = 0, 0, 1.0
 
-    def halve(self) -> None:
-        """Try the increment anew with half its size, from the second time on without `previous`."""
-        self.size *= 0.5
+    def halve(self, share: float = 0.5) -> None:
+        """Try anew with half or so of the size, from the second time on without `previous`."""
+        self.size, self.shrunk = share * self.size, share * self.shrunk
         self.halvings, self.failures = self.halvings + 1, self.failures + 1
         if self.halvings % 2 == 0:
             self.previous = None
 
     def undo_halvings(self) -> None:
         """Try the size again that failed before cells were torn; the solid is another one now."""
-        self.size *= 2.0**self.failures
-        self.failures, self.previous = 0, None
+        self.size /= self.shrunk
+        self.failures, self.shrunk, self.previous = 0, 1.0, None

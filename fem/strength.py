@@ -39,7 +39,7 @@ from fem.tearing import torn_cells
 log = logging.getLogger(__name__)
 
 _FAILURES = 4  # in a row, after which cells are taken as torn or Newton goes on for longer
-_AFTER_REMOVAL = 1 / 32  # of the size: with cells gone there is a jump to settle, whatever it is
+_AFTER_REMOVAL = 1 / 64  # of the size: with cells gone there is a jump to settle, whatever it is
 _UNEVEN = 3.0  # of increments next to the peak
 
 
@@ -302,11 +302,11 @@ class _Test:
         """
         strain = march.strain + march.size
         log.info("strain %.5f: %s, halving the increment", strain, outcome.reason)
-        march.halve()
+        jump = march.failures == 0 and self.lost_cells > march.rows[-1]["lost_cells"]
+        march.halve(_AFTER_REMOVAL if jump else 0.5)
+        if jump:
+            self.solver.maximum_iterations = 2 * self.settings.maximum_iterations
         if march.failures < _FAILURES:
-            if march.failures == 1 and self.lost_cells > march.rows[-1]["lost_cells"]:
-                march.size *= _AFTER_REMOVAL
-                self.solver.maximum_iterations = 2 * self.settings.maximum_iterations
             return False
         # after as many failures again, what runs away on the way to no equilibrium is torn
         at = march.displacement if march.failures < 2 * _FAILURES else tried

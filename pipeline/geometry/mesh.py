@@ -36,10 +36,8 @@ def cell_volumes(points: np.ndarray, cells: np.ndarray) -> np.ndarray:
 
 def boundary_triangles(cells: np.ndarray) -> np.ndarray:
     """Outward triangles (nf, 3) that belong to one cell only."""
-    faces = cells[:, _FACES].reshape(-1, 3)
-    keys = np.sort(faces, axis=1)
-    _, first, count = np.unique(keys, axis=0, return_index=True, return_counts=True)
-    return faces[first[count == 1]]
+    faces = cells[:, _FACES][surface_faces(cells)]
+    return faces[np.lexsort(np.sort(faces, axis=1).T[::-1])]
 
 
 def surface_faces(cells: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from pipeline.scenes.files import read_scene
 from pipeline.scenes.outcome import Marchers
 from pipeline.scenes.writing import march_and_write
 from pipeline.stages.march_on_ranks import march_metal
-from pipeline.stages.on_ranks import Others, do_on_ranks, main
+from pipeline.stages.on_ranks import Done, Others, do_on_ranks, main
 
 
 def march_on_ranks(
@@ -22,23 +22,15 @@ def march_on_ranks(
     ranks: int,
     advanced: Callable[[float, str], None],
     keep: tuple[int, ...] = (),
-) -> tuple[list[Path], dict[str, object]]:
+) -> Done:
     """`march_and_write` for the scene.json of a run folder on so many ranks.
 
-    keep : descriptors that the ranks inherit, the lock of the run folder.
-
-    Raises
-    ------
-    ValueError
-        As that does.
-    MarchError
-        Where the ranks end in another way.
+    advanced, keep, and what it raises: as `do_on_ranks`.
     """
     job = {
         "name": name, "scene": str(scene_file), "checkpoint": str(checkpoint), "resume": resume,
     }  # fmt: skip
-    done = do_on_ranks(__name__, job, scene_file.parent, ranks, advanced, keep)
-    return [Path(path) for path in done["files"]], done["numbers"]
+    return do_on_ranks(__name__, job, scene_file.parent, ranks, advanced, keep)
 
 
 def march_couple(comm, scene, times, renewal, **named):
@@ -48,15 +40,14 @@ def march_couple(comm, scene, times, renewal, **named):
     return galvanic_ranks.corrode(scene, times, renewal, comm=comm, **named)
 
 
-def _lead(others: Others, job: dict, advanced: Callable[[float, str], None]) -> dict[str, object]:
+def _lead(others: Others, job: dict, advanced: Callable[[float, str], None]) -> Done:
     """Rank 0: the scene and its files."""
     scene = read_scene(Path(job["scene"]))
     by = Marchers(*(partial(others.march_with, march) for march in (march_metal, march_couple)))
-    files, numbers = march_and_write(
+    return march_and_write(
         Path(job["out"]), scene.name, scene.prepared(), [time.seconds for time in scene.times],
         checkpoint=Path(job["checkpoint"]), resume=job["resume"], progress=advanced, by=by,
     )  # fmt: skip
-    return {"files": [str(path) for path in files], "numbers": numbers}
 
 
 if __name__ == "__main__":

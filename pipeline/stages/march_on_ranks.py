@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from pipeline.scene.scene import Scene, scene_from_json
-from pipeline.stages.on_ranks import Others, do_on_ranks, follow, main
+from pipeline.stages.on_ranks import Done, Others, do_on_ranks, follow, main
 
 
 def corrode_on_ranks(
@@ -19,21 +19,13 @@ def corrode_on_ranks(
     ranks: int,
     advanced: Callable[[float, str], None],
     keep: tuple[int, ...] = (),
-) -> tuple[list[Path], dict[str, object]]:
+) -> Done:
     """`corrosion.corrode_in_folder` on so many ranks; the same files and numbers.
 
-    keep : descriptors that the ranks inherit, the lock of the run folder.
-
-    Raises
-    ------
-    ValueError
-        As that does.
-    MarchError
-        Where the ranks end in another way.
+    advanced, keep, and what it raises: as `do_on_ranks`.
     """
     job = {"name": alloy, "scene": scene.to_json(), "alloy": alloy, "geometry": str(geometry)}
-    done = do_on_ranks(__name__, job, out, ranks, advanced, keep)
-    return [Path(path) for path in done["files"]], done["numbers"]
+    return do_on_ranks(__name__, job, out, ranks, advanced, keep)
 
 
 def march_metal(comm, scene, times, stepping, **named):
@@ -76,16 +68,15 @@ def march_ions(comm, scene, ions, times, stepping, **named):
         ranks.close()
 
 
-def _lead(others: Others, job: dict, advanced: Callable[[float, str], None]) -> dict[str, object]:
+def _lead(others: Others, job: dict, advanced: Callable[[float, str], None]) -> Done:
     """Rank 0: the stage."""
     from pipeline.stages.corrosion import corrode_in_folder
 
-    files, numbers = corrode_in_folder(
+    return corrode_in_folder(
         scene_from_json(job["scene"]), job["alloy"], Path(job["geometry"]), Path(job["out"]),
         advanced, march_by=partial(others.march_with, march_metal),
         with_ions_by=partial(others.march_with, march_ions),
     )  # fmt: skip
-    return {"files": [str(path) for path in files], "numbers": numbers}
 
 
 if __name__ == "__main__":

@@ -26,6 +26,9 @@ LOG_FILE = "march.log"
 POLL_SECONDS = 0.2
 _REFUSED = 2
 
+Done = tuple[list[Path], dict[str, object]]
+"""The files and numbers of a job."""
+
 
 class MarchError(RuntimeError):
     """A march on ranks that ended without a result; the message says where its log is."""
@@ -38,8 +41,8 @@ def do_on_ranks(
     ranks: int,
     advanced: Callable[[float, str], None],
     keep: tuple[int, ...] = (),
-) -> dict:
-    """What rank 0 of so many ranks returns for a job (JSON).
+) -> Done:
+    """Files and numbers that rank 0 of so many ranks returns for a job (JSON).
 
     module : that calls `main`.  job : with its `name` for messages.  out : the folder in which job,
     log and result are exchanged.  keep : descriptors that the ranks inherit, the lock of the run
@@ -84,7 +87,7 @@ def do_on_ranks(
     log.unlink(missing_ok=True)
     if "refused" in done:
         raise ValueError(done["refused"])
-    return done
+    return [Path(path) for path in done["files"]], done["numbers"]
 
 
 def _progress(out: Path) -> tuple[float, str]:
@@ -126,14 +129,14 @@ def follow(comm) -> None:
             continue
 
 
-def main(
-    arguments: list[str],
-    lead: Callable[[Others, dict, Callable[[float, str], None]], dict[str, object]],
-) -> int:
+Lead = Callable[[Others, dict, Callable[[float, str], None]], Done]
+
+
+def main(arguments: list[str], lead: Lead) -> int:
     """Entry point of a rank.
 
-    lead : rank 0's work, from the other ranks, the job and a report of progress to its result; what
-    it refuses as a ValueError is refused by `do_on_ranks`.
+    lead : rank 0's work, from the other ranks, the job and a report of progress to its files and
+    numbers; what it refuses as a ValueError is refused by `do_on_ranks`.
     """
     if len(arguments) != 1:
         print("usage: mpirun -n N python -m MODULE JOB.json", file=sys.stderr)
@@ -154,7 +157,7 @@ def main(
     return 0
 
 
-def _lead(comm, job: dict, lead: Callable) -> None:
+def _lead(comm, job: dict, lead: Lead) -> None:
     out, told = Path(job["out"]), -POLL_SECONDS
 
     def advanced(share: float, text: str = "") -> None:
@@ -166,7 +169,8 @@ def _lead(comm, job: dict, lead: Callable) -> None:
 
     others = Others(comm)
     try:
-        done = lead(others, job, advanced)
+        files, numbers = lead(others, job, advanced)
+        done = {"files": [str(path) for path in files], "numbers": numbers}
     except ValueError as error:
         done = {"refused": str(error)}
     write_json(out / DONE_FILE, done)
