@@ -245,8 +245,7 @@ class CellProblem(FirstOrder):
         off = abs(total(float((np.abs(away) if by_class else away).sum()))) / progress
         if not by_class and len(attempt.stages) == 1:
             off = min(off, self._off_the_last(attempt) / progress)
-        late = self._late(new, attempt.stages[-1].fields["life"])
-        return max(attempt.share * off, _LATE * late)
+        return max(attempt.share * off, _LATE * self.outrun(attempt.stages))
 
     def _round_off(self, attempt: Attempt) -> float:
         """Amount (over a cell's volume) that round-off moves between cells held at C_sat.
@@ -279,10 +278,10 @@ class CellProblem(FirstOrder):
         off = abs(lost - growth * (last - metal(volume, classes)))
         return off * growth / (1.0 + growth)
 
-    def _late(self, classes: np.ndarray, life: np.ndarray) -> float:
+    def outrun(self, stages: Sequence[Stage]) -> float:
         """Share of the interface's flux that a step takes from what goes with it."""
-        cells = self.cells
+        cells, last = self.cells, stages[-1].fields
         total = self.processes.total
         whole = total(float(cells.volume @ cells.bond_sum))
-        lost = cells.volume - cells.left(classes, life)
+        lost = cells.volume - cells.left(last["classes"], last["life"])
         return total(float(lost @ cells.bond_sum)) / whole if whole > 0 else 0.0

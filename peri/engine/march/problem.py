@@ -219,6 +219,10 @@ class FirstOrder(Problem):
         """Whether a second-order step is within bounds; else a first-order one is taken."""
         return True
 
+    def outrun(self, stages: Sequence[Stage]) -> float:
+        """Share of the rates that goes with what a step takes away; shortens fixed steps, too."""
+        return 0.0
+
     def change(self, attempt: Attempt) -> float:
         """Relative change of the rates within a step: the quantity that the control holds.
 

@@ -17,6 +17,9 @@ _JUMP = 0.7
 """A change that a shorter step leaves at this share is a jump, which no step resolves."""
 _SHORTEST = 1e-9
 """Steps below this share of the time asked for are not shortened any more."""
+_OUTRUN = 0.1
+"""Target of fixed steps: the share of the rates that may go with what a step takes away.  A lower
+one costs steps and errs less (peri/MEASURED.md, surfaces that move)."""
 
 
 @dataclass(frozen=True)
@@ -54,18 +57,19 @@ class RungeKutta:
                 log.info("step of %.3g s rejected: %s", step, error)
                 course.step = 0.25 * step
                 continue
-            if stepping.controlled:
-                jump = change > _JUMP * rejected
-                proposal = next_step(step, change, stepping.rate_change)
-                if change > 2.5 * stepping.rate_change and step > _SHORTEST * target and not jump:
-                    course.step, rejected = proposal, change
-                    continue
-                # A step shortened to hit an output time says nothing against the longer one.
-                kept = course.step if step < course.step else 0.0
-                course.step = max(step if jump else proposal, kept)
-            elif stepping.step is not None:
-                # One that had to be shortened grows back by and by.
-                course.step = min(stepping.step, 4.0 * step)
+            wanted = stepping.rate_change
+            if not stepping.controlled:
+                change, wanted = problem.outrun(stages), _OUTRUN
+            jump = change > _JUMP * rejected
+            proposal = next_step(step, change, wanted)
+            if change > 2.5 * wanted and step > _SHORTEST * target and not jump:
+                course.step, rejected = proposal, change
+                continue
+            # A step shortened to hit an output time says nothing against the longer one.
+            kept = course.step if step < course.step else 0.0
+            course.step = max(step if jump else proposal, kept)
+            if stepping.step is not None:
+                course.step = min(stepping.step, course.step)
             break
         new = _reached(problem, course.state, stages, step, target)
         problem.accept(new, stages, step)

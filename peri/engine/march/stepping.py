@@ -24,7 +24,8 @@ class TimeStepping:
     ----------
     scheme : {"sdirk2", "backward_euler", "forward_euler"}
     step : float, optional
-        Fixed step, s (shortened evenly so that output times are hit).  Without it the step is
+        Fixed step, s (shortened evenly so that output times are hit, and where a surface that
+        moves would leave what it takes away behind in one step).  Without it the step is
         controlled so that the rates (of corrosion: the metal's loss rate) change by about
         `rate_change` within a step.  An explicit step follows its stability limit (no metal node
         loses more than `rate_change` of what it has); a fixed one above the limit is refused,
