@@ -472,7 +472,7 @@ class GalvanicProblem(Problem):
             return {}
         content = state.fields["ions"]
         wet, dissolved = ~self.metal(state.fields["concentration"]), ions.dissolved(content)
-        salt = np.maximum(content - dissolved, 0.0)
+        salt = content - dissolved
         kappa = np.where(wet, ions.conducts(content), np.nan)
         return {"ions": dissolved, "salt": salt, "conductivity": kappa}
 

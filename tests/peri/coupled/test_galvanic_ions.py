@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 from peri.coupled.galvanic import GalvanicScene, Metal, Renewal, corrode
-from peri.coupled.galvanic_ions import Ions
+from peri.coupled.galvanic_ions import Ions, IonTransport
 from peri.coupled.wagner import corrode_lean, couple_omissions, ions_bound
 from peri.engine.constants import FARADAY
+from peri.engine.influence import diffusion_stencil
 from peri.engine.lattice import Lattice
 from peri.transport.potential.conductivity import IonConductivity, TabulatedConductivity
 from peri.transport.potential.polarization import LinearPolarization
+from peri.transport.potential.pools import label_pools
 
 D, LENGTH, MEDIUM = 1e-9, 2e-3, 0.5
 LAW = IonConductivity(MEDIUM, 2.0, 0.7e-9)
@@ -207,3 +209,83 @@ def test_refusals():
     points = TabulatedConductivity((0.0, 10.0), (MEDIUM, 1.0))
     with pytest.raises(ValueError, match="the law's points end at 10 mol/m"):
         corrode(cell(law=points), [3000.0])
+
+
+def transport(most=None, is_open=False, seed=0):
+    """Ions in a random liquid of several pools, what its nodes hold, and the dense matrix of A."""
+    rng = np.random.default_rng(seed)
+    lattice = Lattice((0.0, 0.0), (1e-5, 1e-5), (9, 14))
+    liquid = rng.uniform(size=lattice.shape) < 0.45
+    renewed = rng.uniform(size=lattice.shape) < 0.1 if is_open else None
+    ions = Ions(D, LAW, most, renewed)
+    moves = IonTransport(ions, lattice, diffusion_stencil(lattice, 1e-5))
+    content = np.where(liquid, 10.0 ** rng.uniform(-9, 3, lattice.shape), 0.0)
+    moves.step(content, None, liquid, 1.0)
+    nodes = np.flatnonzero(moves.sum.pad(liquid))
+    columns = []
+    for node in nodes:
+        one = np.zeros(moves.sum.padded_shape)
+        one.flat[node] = 1.0
+        columns.append(-moves._brought(one).flat[nodes])
+    matrix = np.array(columns).T
+    pools = label_pools(moves.sum, liquid)
+    assert pools.max() > 3
+    return moves, content, liquid, matrix - np.diag(matrix.sum(axis=0)), pools
+
+
+@pytest.mark.parametrize("stiffness", [1e-8, 1.0, 1e6, 1e12])
+@pytest.mark.parametrize("is_open", [False, True])
+def test_a_step_of_any_length_is_that_of_the_dense_matrix(stiffness, is_open):
+    """Pools from 1e-9 to 1e3 mol/m^3, each to its own digits; renewed liquid leaves 1e-12 of it."""
+    moves, content, liquid, matrix, pools = transport(is_open=is_open)
+    step = stiffness * 1e-10 / D
+    after, left = moves.step(content, None, liquid, step)
+    assert after.min() >= 0.0
+    fixed = moves.ions.renewed[liquid] if is_open else np.zeros(liquid.sum(), bool)
+    for pool in range(1, pools.max() + 1):
+        here = pools == pool
+        free = (pools[liquid] == pool) & ~fixed
+        values, modes = np.linalg.eigh(matrix[np.ix_(free, free)])
+        # without its round-off, which long steps would multiply
+        values[values < 1e-9 * values.max(initial=0.0)] = 0.0
+        known = modes @ (modes.T @ content[liquid][free] / (1.0 + step * values))
+        # measured at most 2e-12
+        assert np.abs(after[liquid][free] - known).max(initial=0.0) <= 1e-10 * content[here].max()
+        if not fixed[pools[liquid] == pool].any():
+            assert after[here].sum() == pytest.approx(content[here].sum(), rel=1e-14)
+    whole = content.sum() * moves.volume
+    assert after.sum() * moves.volume + left == pytest.approx(whole, rel=1e-14)
+    assert is_open or left == 0.0
+
+
+@pytest.mark.parametrize("is_open", [False, True])
+def test_salt_and_its_pools_keep_what_they_have(is_open):
+    """Steps up to 1e13 of a node's diffusion: nothing negative, saturated where salt is left."""
+    moves, content, liquid, _, pools = transport(30.0, is_open)
+    whole, left = content.sum(), 0.0
+    assert (content > 30.0).any()
+    for stiffness in (1e-6, 1e-2, 1.0, 1e3, 1e9, 1e13):
+        content, gone = moves.step(content, None, liquid, stiffness * 1e-10 / D)
+        left += gone / moves.volume
+        assert content.min() >= 0.0 and gone >= 0.0
+        assert content.sum() + left == pytest.approx(whole, rel=1e-13)
+    assert (left > 0.0) == is_open
+    full = np.unique(pools[content > 30.0 * (1 + 1e-9)])
+    assert is_open or full.size
+    for pool in full:
+        # a closed pool that has salt after a long step is saturated
+        np.testing.assert_allclose(moves.ions.dissolved(content)[pools == pool], 30.0, rtol=1e-10)
+
+
+def test_renewed_liquid_is_flushed_to_the_smallest_number():
+    """What a solver leaves of a step is none of the next one's ions."""
+    moves, content, liquid, _, pools = transport(is_open=True)
+    open_pools = np.unique(pools[moves.ions.renewed & liquid])
+    flushed, before = np.isin(pools, open_pools) & liquid, np.inf
+    for _ in range(60):
+        content, left = moves.step(content, None, liquid, 1e9 * 1e-10 / D)
+        assert 0.0 <= left and content.min() >= 0.0
+        now = content[flushed].sum()
+        assert now < max(1e-5 * before, 1e-200)
+        before = now
+    assert before < 1e-200
