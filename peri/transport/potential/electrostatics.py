@@ -147,6 +147,7 @@ class PotentialProblem:
         self._free = self.unknown.ravel()[self._columns] > 0
         self._voltage = there.potentials[self.patches.electrode]
         self._along = Walls(self.sum) if walls and operator is None else None
+        self._forget()
         self.conduct(conductivity, operator)
 
     def conduct(
@@ -207,17 +208,25 @@ class PotentialProblem:
     def _currents(
         self, seen: np.ndarray, part: np.ndarray | slice = slice(None)
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """E, i and di/du_s of every patch, or of a part of them that sees `seen`."""
+        """E, i and di/du_s of every patch, or of a part of them that sees `seen`.
+
+        Each begins at its E of the last time, which `_forget` drops.
+        """
         surface, density, slope = (np.zeros_like(seen) for _ in range(3))
         electrode_of, voltage = self.patches.electrode[part], self._voltage[part]
-        resistance = self._resistance[part]
+        resistance, before = self._resistance[part], self._surface[part]
         for number, law in enumerate(self._laws):
             of = electrode_of == number
             if of.any():
                 surface[of], density[of], slope[of] = surface_potential(
-                    law, (voltage + seen)[of], resistance[of]
+                    law, (voltage + seen)[of], resistance[of], before[of]
                 )
+        self._surface[part] = surface
         return surface, density, slope
+
+    def _forget(self) -> None:
+        """Start from nothing, so that what is found does not depend on what was before."""
+        self._surface = np.full(len(self.patches.area), np.nan)
 
     def _balancing_shifts(self, seen: np.ndarray) -> np.ndarray:
         """By pool (from 1): the change of u after which its patches' currents add up to nothing."""
@@ -290,6 +299,7 @@ class PotentialProblem:
         """
         if not self._floating[1:].any() or self.processes.any((self.held != 0).any()):
             raise ValueError("held: a liquid with held nodes has no level of its own")
+        self._forget()
         shifts = self._balancing_shifts(np.zeros(len(self.patches.area)))
         surface, density, slope = self._currents(shifts[self._pool_of_patch])
         imbalance = self._imbalance(surface, density, slope)
@@ -307,7 +317,9 @@ class PotentialProblem:
             self.operator, shift=shift, sink=np.maximum(self._row_sums, 0.0) + shift
         )
         u = np.zeros(self.sum.padded_shape)
-        system.solve(u, right.copy(), 1e-6 * self._norm(right))
+        # What is left of currents that balance is none: a pool of one node takes up nothing.
+        noise = 1e-12 * self._norm(self._spread(self.patches.area * np.abs(density))) / self.volume
+        system.solve(u, right.copy(), max(1e-6 * self._norm(right), noise))
         pools, largest = self._pool[self.unknown > 0], self.processes.largest
         high, low = (np.full(len(self._floating), -np.inf) for _ in range(2))
         np.maximum.at(high, pools, u[self.unknown > 0])
@@ -344,6 +356,7 @@ class PotentialProblem:
 
     def _newton(self, start: np.ndarray, tolerance: float) -> PotentialField:
         """`solve` from a starting value of u, 0 off the unknowns."""
+        self._forget()
         u = self.held + start
         total, open_level = 0, True
         for steps in range(_NEWTON_STEPS + 1):

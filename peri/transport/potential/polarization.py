@@ -61,7 +61,7 @@ class Insulated:
 
 
 def surface_potential(
-    law: Polarization, seen: np.ndarray, resistance: np.ndarray
+    law: Polarization, seen: np.ndarray, resistance: np.ndarray, guess: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The potential E with E + R i(E) = `seen`: what a patch has behind the liquid it sees.
 
@@ -72,6 +72,7 @@ def surface_potential(
     ----------
     seen : (n,) V
     resistance : (n,) R >= 0, ohm m^2
+    guess : (n,) V to start from, such as E of currents nearby; `seen` where it is not finite.
 
     Returns
     -------
@@ -83,10 +84,11 @@ def surface_potential(
         Where the law's slope is negative.
     """
     potential = np.array(seen, float)
+    if guess is not None:
+        potential = np.where(np.isfinite(guess), guess, potential)
     current, slope = law.current(potential), law.slope(potential)
-    low = np.where(current > 0, -np.inf, potential)
-    high = np.where(current > 0, potential, np.inf)
-    tolerance = 4e-16 * np.maximum(1.0, np.abs(potential))
+    low, high = np.full((2, *potential.shape), [[-np.inf], [np.inf]])
+    tolerance = 4e-16 * np.maximum(1.0, np.abs(seen))
     reach = 0.05
     for n in range(200):
         if np.any(slope < 0):
