@@ -340,29 +340,32 @@ def _count_broken(keep, solid, offsets, corner, whole, stream):  # numba
     n0, n1, n2 = keep.shape
     nodes = np.uint64(whole[0] * whole[1] * whole[2])
     out = np.zeros(keep.shape, np.int64)
-    touched = np.zeros((n0, n1), np.bool_)
+    # Of each row, from the first to behind the last node that has lost something.
+    first, last = np.full((n0, n1), n2), np.zeros((n0, n1), np.int64)
     for row in prange(n0 * n1):
         i, j = row // n1, row % n1
         for k in range(n2):
             if solid[i, j, k] and keep[i, j, k] < 1.0:
-                touched[i, j] = True
+                first[i, j] = min(first[i, j], k)
+                last[i, j] = k + 1
     for row in prange(n0 * n1):
         i, j = row // n1, row % n1
         start = ((i + corner[0]) * whole[1] + j + corner[1]) * whole[2] + corner[2]
         for o in range(offsets.shape[0]):
             a, b, s = i + offsets[o, 0], j + offsets[o, 1], offsets[o, 2]
-            if a < 0 or a >= n0 or b < 0 or b >= n1 or not (touched[i, j] or touched[a, b]):
+            if a < 0 or a >= n0 or b < 0 or b >= n1:
                 continue
             step = (offsets[o, 0] * whole[1] + offsets[o, 1]) * whole[2] + s
-            for k in range(max(0, -s), min(n2, n2 - s)):
+            low = max(0, -s, min(first[i, j], first[a, b] - s))
+            for k in range(low, min(n2, n2 - s, max(last[i, j], last[a, b] - s))):
                 if not (solid[i, j, k] and solid[a, b, k + s]):
                     continue
                 stands = keep[i, j, k] * keep[a, b, k + s]
                 if stands >= 1.0:
                     continue
-                low = np.uint64(start + k + min(step, 0))
-                high = np.uint64(start + k + max(step, 0))
-                if stands <= 0.0 or term(stream, low * nodes + high) >= stands:
+                one = np.uint64(start + k + min(step, 0))
+                other = np.uint64(start + k + max(step, 0))
+                if stands <= 0.0 or term(stream, one * nodes + other) >= stands:
                     out[i, j, k] += 1
     return out
 
