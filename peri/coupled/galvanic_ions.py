@@ -27,7 +27,7 @@ from peri.transport.potential.pools import label_pools
 _ROUNDS = 200
 """Of nodes that gain or lose their salt within a step; the set only grows or shrinks towards its
 end (the matrix has no positive entry beside its diagonal), a few layers a round."""
-_TOLERANCE = 1e-11
+_TOLERANCE = 1e-12
 """Residual of a step's linear solution, relative to what drives each pool of liquid."""
 _OPEN = 1e-9
 """Of a pool's ions: the largest rest of its balance that is taken for the solver's; the solver
