@@ -1,15 +1,19 @@
 """Random pits and their bounds, a part of `python -m tests.extreme.random_couples`.
 
-Sheets in one and two dimensions, with liquid on one or both sides (a pit may go through), closed or
-refreshed; bare, or passive below a critical concentration but for nuclei, films that break; grains
-of several rates; islands that stay or dissolve; C_sat/C_solid from 1e-6 to 0.9, currents over six
-decades, one step or many.
+Sheets in one to three dimensions, with liquid on one or both sides (a pit may go through), closed
+or refreshed, clean or not; bare, or passive below a critical concentration but for nuclei, films
+that break; two phases, or grains of several rates with boundaries of another metal; walls that
+conduct along themselves, with and without pores; islands that stay or dissolve; C_sat/C_solid from
+1e-6 to 0.9, currents over six decades, one step or many.
 """
+
+from dataclasses import replace
 
 import numpy as np
 
 from peri.corrosion.kinetics import ConstantRate
 from peri.corrosion.metal.bond_damage import BondDamage
+from peri.corrosion.metal.microstructure import BOUNDARY, polycrystal
 from peri.corrosion.metal.solids import Solid
 from peri.corrosion.passivity import Repassivation, Rupture
 from peri.corrosion.run import corrode
@@ -22,9 +26,9 @@ SOLID = 1e5
 
 def random_pit(seed: int) -> tuple[CorrosionScene, float, TimeStepping]:
     """A scene, a time in which some layers of it would go, and how to march there."""
-    rng = np.random.default_rng(seed)
-    d = int(rng.integers(1, 3))
-    shape = tuple(int(n) for n in rng.integers(12, {1: 60, 2: 24}[d], d))
+    rng, more = np.random.default_rng(seed), np.random.default_rng([seed, 2])
+    d = 3 if more.uniform() < 0.15 else int(rng.integers(1, 3))
+    shape = tuple(int(n) for n in rng.integers(*{1: (12, 60), 2: (12, 24), 3: (10, 13)}[d], d))
     spacing = 10.0 ** rng.uniform(-7, -4)
     lattice = Lattice((0.0,) * d, (spacing,) * d, shape)
     depth = np.broadcast_to(np.arange(shape[-1]), shape)
@@ -60,8 +64,32 @@ def random_pit(seed: int) -> tuple[CorrosionScene, float, TimeStepping]:
         phase=phase.astype(np.uint8),
         detached="dissolve" if other.uniform() < 0.3 else "keep",
     )
+    if more.uniform() < 0.3:
+        scene = with_grains(scene, film, more)
+    if more.uniform() < 0.4:
+        scene = replace(scene, walls=True, pores=scene.detached == "keep" and more.uniform() < 0.5)
+    if more.uniform() < 0.3:
+        scene = replace(scene, liquid=saturated * more.uniform(size=shape) ** 4)
     end = float(rng.uniform(0.5, 8)) * spacing * SOLID / flux
-    return scene, end, TimeStepping(step=end / int(rng.choice([1, 7, 30])))
+    scheme = "backward_euler" if scene.pores else "sdirk2"
+    return scene, end, TimeStepping(scheme, step=end / int(rng.choice([1, 7, 30])))
+
+
+def with_grains(scene: CorrosionScene, film, rng) -> CorrosionScene:
+    """The scene's metal as a polycrystal: four rates of grains, and boundaries with less metal."""
+    spacing = max(scene.lattice.spacing)
+    structure = polycrystal(
+        scene.lattice, spacing * float(rng.uniform(4, 8)), 2 * spacing, int(rng.integers(1000))
+    )
+    rates = 10.0 ** rng.uniform(-1, 0, 4)
+    least = max(0.6 * SOLID, 1.05 * scene.saturation_concentration)
+    solids = (
+        *(Solid(SOLID, rate=float(rate), kinetics=ConstantRate()) for rate in rates),
+        Solid(float(rng.uniform(least, SOLID)), kinetics=film),
+    )
+    grain = 1 + (4 * structure.draw).astype(int)[structure.grain]
+    phase = np.where(scene.metal, np.where(structure.phase == BOUNDARY, 5, grain), 0)
+    return replace(scene, solids=solids, phase=phase.astype(np.uint8))
 
 
 def check_pit(seed: int) -> str:

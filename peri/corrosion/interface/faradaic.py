@@ -166,7 +166,11 @@ class FaradaicExchange(Exchange):
             empties = wanted > held[near]
             before, nodes = nodes, near[empties]
             if not p.processes.any(nodes.size > 0):
-                break
+                # No node is open, those of the round before neither: metal goes on to none of them.
+                if not p.processes.any(before.size > 0):
+                    break
+                source.ravel()[before] = was_open[before] = 0.0
+                continue
             on = held[nodes] / wanted[empties]
             flow.ravel()[nodes] *= on
             inflow = drawn * p.box.at(flow, nodes)

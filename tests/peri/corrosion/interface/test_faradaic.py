@@ -6,6 +6,7 @@ from scipy.integrate import trapezoid
 
 from peri.corrosion.kinetics import ConstantRate, VolumeLossLaw
 from peri.corrosion.metal.solids import Solid
+from peri.corrosion.nodes.bimaterial import BiMaterial
 from peri.corrosion.run import corrode
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.lattice import Lattice, box_lattice
@@ -297,6 +298,23 @@ def test_an_emptied_node_passes_on_what_it_cannot_hold():
     # under the salt layer: measured 2.6e-4, 7.0e-4, 3.8e-3 of the depth
     assert (errors > 0).all() and (errors[1:] / errors[:-1] > 2.5).all()
     assert errors[2] < 5e-3 * depths[0]
+
+
+def test_metal_loses_nothing_to_nodes_that_a_round_before_had_emptied():
+    """Rounds of a stage whose first empties nodes and whose second, with lower rates, none."""
+    scene = flat_front(2)
+    problem = BiMaterial(scene)
+    exchange = scene.dissolution.exchange(problem, problem.initial_concentration, 1.0)
+    bonds_on, (rate, local) = (problem.box_liquid_volume > 0) * 1.0, problem.interface_rate(0.0)
+    for share, empties in ((2.0 * LAYER, True), (0.7 * LAYER, False)):
+        exchange.set(bonds_on, share * rate, local)
+        metal = exchange.metal_concentration(np.zeros_like(bonds_on))
+        lost = float(((exchange.old_metal - metal) * problem.box_metal_volume).sum())
+        bonds = exchange.to_refreshed(metal) * (problem.box_liquid_volume > 0)
+        kept = float(np.sum(exchange.gained * problem.box_metal_volume))
+        assert exchange.emptied.any() == empties and lost > 0.5 * SOLID
+        # once a third more where the second empties none
+        assert lost == pytest.approx(float(bonds.sum()) + kept, rel=1e-12)
 
 
 def test_what_passes_on_enters_the_balance_of_held_liquid():
