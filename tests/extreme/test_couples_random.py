@@ -21,9 +21,9 @@ def test_a_random_couple_with_ions_keeps_its_bounds(seed):
     assert check_ions(seed) in ("marched", "used up", "no sink")
 
 
-@pytest.mark.parametrize("seed", [4, 31, 40])
+@pytest.mark.parametrize("seed", [4, 31, 40, 52])
 def test_a_random_pit_keeps_its_bounds(seed):
-    """C_sat/C_solid from 1e-6 on, pits through a plate, islands; the second ends in islands."""
+    """C_sat/C_solid from 1e-6 on, pits through a plate, islands; the last once lost 1.5 %."""
     assert check_pit(seed).startswith("pit")
 
 
