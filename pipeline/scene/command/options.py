@@ -99,7 +99,11 @@ def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -
         help="lattice spacing; auto: the preset's, or finer where the solid needs it",
     )
     corrosion.add_argument("--horizon", metavar="LENGTH", help="the grips hold that much more, too")
-    corrosion.add_argument("--step", metavar="TIME", help="fixed time step (controlled)")
+    corrosion.add_argument(
+        "--step",
+        metavar="TIME",
+        help="fixed time step (controlled), shortened where rate classes dissolve",
+    )
     corrosion.add_argument("--rate-change", type=float, metavar="X", help="step control")
     corrosion.add_argument("--scheme", metavar="S", help=", ".join(TIME_SCHEMES))
     corrosion.add_argument("--saturation", metavar="S", help=", ".join(SATURATIONS))
