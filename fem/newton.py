@@ -39,6 +39,7 @@ class Equilibrium:
     stored: float
     dissipated: float
     reason: str = ""
+    unbalanced: float = np.inf  # at most this much is the reaction off [N or N m]
 
 
 class EquilibriumSolver:
@@ -60,9 +61,13 @@ class EquilibriumSolver:
         self.fixed, self.grip = fixed, grip
         self._translations = grip.translations()
         self._direction = grip.derivative(0.0)  # that the reaction belongs to
+        # how far the grip moves by unit of its amount: what a force is worth in the reaction
+        lever = float(np.linalg.norm(self._direction, axis=1).max(initial=0.0))
+        self._lever = comm.allreduce(lever, MPI.MAX)
         self.tolerance, self.maximum_iterations = tolerance, maximum_iterations
         self.reference = 0.0  # largest reaction at equilibrium so far [N]
         self.reaction = 0.0  # norm of the nodal reactions of the last assembly [N]
+        self.unbalanced = 0.0  # sum of the free nodes' forces, likewise [N]
 
     def _sum(self, *values: float) -> np.ndarray:
         return self.comm.allreduce(np.array(values, float))
@@ -76,14 +81,16 @@ class EquilibriumSolver:
         owned = self.assembler.discretisation.owned_nodes
         force, fixed = result.force[:owned], self.fixed[:owned]
         free = np.where(fixed, 0.0, force)
-        failed, square, reaction, conjugate, *total = self._sum(
+        square = (free**2).sum(axis=1)
+        failed, square, unbalanced, reaction, conjugate, *total = self._sum(
             result.failed,
-            float((free**2).sum()),
+            float(square.sum()),
+            float(np.sqrt(square).sum()),
             float((np.where(fixed, force, 0.0) ** 2).sum()),
             float((force * self._direction[:owned]).sum()),
             *np.tensordot(self._translations[:, :owned], force),
         )
-        self.reaction = np.sqrt(reaction)
+        self.reaction, self.unbalanced = np.sqrt(reaction), unbalanced
         return result, failed, np.sqrt(square + np.dot(total, total)), conjugate
 
     def _correction(
@@ -164,12 +171,13 @@ class EquilibriumSolver:
         equilibrium, so that it alone is no guide; with f lagged the force along the step is the
         slope of a potential. Returns the factor and the assembly there, failed points included.
         """
-        factor, here = 1.0, start
+        factor, shrink = 1.0, 1.0
         for _ in range(_TRIALS):
+            factor *= shrink
             state = self._assemble(displacement + factor * step)
             result, failed, trial, _ = state
             if failed:
-                factor *= 0.5
+                shrink = 0.5
                 continue
             here = self._along(result.force, step)
             log.debug(
@@ -179,7 +187,7 @@ class EquilibriumSolver:
             short = here * start > 0.0
             if short or abs(here) <= _ENOUGH * abs(start) or trial <= 0.9 * norm:
                 break
-            factor *= min(max(start / (start - here), 0.1), 0.9)
+            shrink = min(max(start / (start - here), 0.1), 0.9)
         return factor, state
 
     def _stiffen(self, factor: float) -> bool:
@@ -247,7 +255,11 @@ class EquilibriumSolver:
             displacement = displacement + factor * step
             if self._stiffen(factor):
                 result, failed, norm, conjugate = self._assemble(displacement)
+        stored, dissipated = self._sum(result.stored, result.dissipated)
+        unbalanced = self.unbalanced * self._lever
         return (
-            Equilibrium(False, self.maximum_iterations, 0, 0, 0, "no convergence"),
+            Equilibrium(
+                False, iteration, conjugate, stored, dissipated, "no convergence", unbalanced
+            ),
             displacement,
         )

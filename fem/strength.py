@@ -40,6 +40,7 @@ log = logging.getLogger(__name__)
 
 _FAILURES = 4  # in a row, after which cells are taken as torn or Newton goes on for longer
 _AFTER_REMOVAL = 1 / 64  # of the size: with cells gone there is a jump to settle, whatever it is
+_KNOWN = 1e-3  # of the reaction: forces out of balance past the peak that will do (`Equilibrium`)
 _UNEVEN = 3.0  # of increments next to the peak
 
 
@@ -238,7 +239,13 @@ class _Test:
             tried_ones += 1
             march.size = min(march.size, s.maximum_strain - march.strain)
             outcome, tried = self._increment(march)
-            if not outcome.converged:
+            # past the peak only the drop is asked for
+            known = outcome.reaction + outcome.unbalanced < march.peak
+            known = known and outcome.unbalanced <= _KNOWN * outcome.reaction
+            if not outcome.converged and not known:
+                if self._ended(march, outcome.reaction + outcome.unbalanced):
+                    status = "past_peak"
+                    break
                 parted = self._retreat(march, outcome, tried)
                 if march.size < s.minimum_increment:
                     status = f"stopped: {outcome.reason} at strain {march.strain:.5f}"
@@ -251,7 +258,7 @@ class _Test:
             for observer in observers:
                 observer(Increment(self, march))
             parted = removed and self._parted()
-            if not s.full_curve and outcome.reaction < (1.0 - s.peak_drop) * march.peak:
+            if self._ended(march, outcome.reaction):
                 status = "past_peak"
                 break
         if parted:
@@ -262,6 +269,11 @@ class _Test:
         result = self._result(march, status)
         self.linear.destroy()
         return result
+
+    def _ended(self, march: March, reaction: float) -> bool:
+        """Whether the test is over at a reaction so far below its peak."""
+        s = self.settings
+        return not s.full_curve and reaction < (1.0 - s.peak_drop) * march.peak
 
     def _start(self) -> March:
         """The solid before it is pulled."""

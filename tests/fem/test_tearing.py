@@ -110,3 +110,54 @@ def test_newton_goes_on_for_longer_where_smaller_steps_do_not_help(monkeypatch):
     iterations = result.history["iterations"]
     assert 2 < iterations.max() <= 4
     assert np.all(result.history["halvings"][iterations > 2] >= 1)
+
+
+def test_unbalanced_forces_bound_what_the_reaction_is_off(monkeypatch):
+    """Newton after 1, 2, ... iterations against where it ends, over a whole test of a bar."""
+    points, cells = round_bar(2, 4, 1e-3, 4e-3, waist=0.3)
+    f0 = np.random.default_rng(2).uniform(0.0, 0.6, len(cells))
+    solve, ratios = module.EquilibriumSolver.solve, []
+
+    def in_parts(self, guess, amount):
+        most, parts = self.maximum_iterations, []
+        for self.maximum_iterations in range(1, 6):
+            parts.append(solve(self, guess, amount)[0])
+        self.maximum_iterations = most
+        outcome, tried = solve(self, guess, amount)
+        for part in parts:
+            if not part.converged and np.isfinite(part.unbalanced) and outcome.converged:
+                ratios.append(abs(part.reaction - outcome.reaction) / part.unbalanced)
+        return outcome, tried
+
+    monkeypatch.setattr(module.EquilibriumSolver, "solve", in_parts)
+    result = tensile_test(points, cells, f0, MAGNESIUM, TensileSettings(maximum_strain=0.1))
+    assert result.status == "past_peak"
+    print(len(ratios), np.sort(ratios)[-8:])
+    assert len(ratios) > 30
+    assert max(ratios) < 1.0
+
+
+def test_a_test_ends_where_forces_out_of_balance_leave_no_doubt_that_its_peak_is_past(monkeypatch):
+    """Newton never ends beyond the peak of a waisted bar: only its unbalanced forces say so."""
+    points, cells = round_bar(2, 4, 1e-3, 4e-3, waist=0.3)
+    f0 = np.random.default_rng(2).uniform(0.0, 0.6, len(cells))
+    settings = TensileSettings(maximum_strain=0.1, peak_drop=0.05)
+    whole = tensile_test(points, cells, f0, MAGNESIUM, settings)
+    assert whole.status == "past_peak" and whole.force[-1] < 0.95 * whole.peak_force
+    solve = module.EquilibriumSolver.solve
+    for share, expected in ((0.0, "past_peak"), (0.03, "stopped: stuck")):
+        unbalanced = share * whole.peak_force
+
+        def stuck(self, guess, amount, unbalanced=unbalanced):
+            outcome, tried = solve(self, guess, amount)
+            past = outcome.converged and outcome.reaction < 0.95 * whole.peak_force
+            if past and amount > whole.elongation_at_peak:
+                outcome = replace(outcome, converged=False, reason="stuck", unbalanced=unbalanced)
+            return outcome, tried
+
+        monkeypatch.setattr(module.EquilibriumSolver, "solve", stuck)
+        result = tensile_test(points, cells, f0, MAGNESIUM, settings)
+        print(result.status, len(result.force), len(whole.force), result.force, whole.force)
+        assert result.status.startswith(expected)
+        assert result.peak_force == pytest.approx(whole.peak_force, rel=1e-9)
+        assert len(result.force) >= len(whole.force) - 1
