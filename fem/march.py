@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+_UNEVEN = 3.0  # of increments next to the peak
 _EASY, _HARD = 5, 8  # Newton iterations below which increments grow, above which they shrink
 
 
@@ -55,3 +56,26 @@ class March:
         """Try the size again that failed before cells were torn; the solid is another one now."""
         self.size /= self.shrunk
         self.failures, self.shrunk, self.previous = 0, 1.0, None
+
+
+def peak_of_curve(elongation: np.ndarray, force: np.ndarray) -> tuple[float, float]:
+    """Elongation and force at the peak: the vertex of the parabola through the highest point.
+
+    The highest point itself is returned where it is the last one, or where one of its neighbours is
+    more than _UNEVEN times nearer than the other: a curve that breaks off has no parabola.
+    """
+    k = int(np.argmax(force))
+    if k == 0 or k == len(force) - 1:
+        return float(elongation[k]), float(force[k])
+    x, y = elongation[k - 1 : k + 2], force[k - 1 : k + 2]
+    before, after = np.diff(x)  # one of them is zero where the solid parted at its peak
+    if not (before > 0 < after and 1 / _UNEVEN <= after / before <= _UNEVEN):
+        return float(x[1]), float(y[1])
+    rise, fall = np.diff(y) / np.diff(x)
+    bend = (fall - rise) / (x[2] - x[0])
+    if not bend < 0:
+        return float(x[1]), float(y[1])
+    top = 0.5 * (x[0] + x[1]) - 0.5 * rise / bend
+    if not x[0] <= top <= x[2]:
+        return float(x[1]), float(y[1])
+    return float(top), float(y[0] + (rise + bend * (top - x[1])) * (top - x[0]))

@@ -25,7 +25,7 @@ from fem.constitutive.material import Material
 from fem.damage_length import DamageLength
 from fem.discretisation import build
 from fem.loading import Load, MovingGrip
-from fem.march import March
+from fem.march import March, peak_of_curve
 from fem.newton import INVERTED_PREDICTION, Equilibrium, EquilibriumSolver
 from fem.preparation import prepare
 from fem.quadrature import Element, find_element
@@ -40,8 +40,7 @@ log = logging.getLogger(__name__)
 
 _FAILURES = 4  # in a row, after which cells are taken as torn or Newton goes on for longer
 _AFTER_REMOVAL = 1 / 64  # of the size: with cells gone there is a jump to settle, whatever it is
-_KNOWN = 1e-3  # of the reaction: forces out of balance past the peak that will do (`Equilibrium`)
-_UNEVEN = 3.0  # of increments next to the peak
+_KNOWN = 1e-3  # of the reaction: what it may be off past the peak (`Equilibrium.unbalanced`)
 
 
 @dataclass
@@ -51,9 +50,11 @@ class TensileResult:
     The curve is motion against reaction: elongation [m] and force [N] of an axial test, angle [rad]
     and torque or moment [N m] otherwise; `history` has both under these names, and the properties
     of that name raise AttributeError for another load. Nominal strain is motion over `extent`.
-    status: "past_peak" (the reaction fell by `peak_drop`), "completed" (to the full strain),
-    "severed", "fully_corroded" (no test was possible: force 0), or "stopped: ..." with the reason
-    why the curve ends early. history: one array per quantity, one entry per point of the curve.
+    status: "past_peak" (the reaction fell by `peak_drop`, perhaps in an increment that found no
+    equilibrium and is not on the curve: `Equilibrium.unbalanced`), "completed" (to the full
+    strain), "severed", "fully_corroded" (no test was possible: force 0), or "stopped: ..." with the
+    reason why the curve ends early. history: one array per quantity, one entry per point of the
+    curve.
     """
 
     motion: np.ndarray  # [m or rad]
@@ -239,10 +240,7 @@ class _Test:
             tried_ones += 1
             march.size = min(march.size, s.maximum_strain - march.strain)
             outcome, tried = self._increment(march)
-            # past the peak only the drop is asked for
-            known = outcome.reaction + outcome.unbalanced < march.peak
-            known = known and outcome.unbalanced <= _KNOWN * outcome.reaction
-            if not outcome.converged and not known:
+            if not (outcome.converged or self._known(march, outcome)):
                 if self._ended(march, outcome.reaction + outcome.unbalanced):
                     status = "past_peak"
                     break
@@ -274,6 +272,12 @@ class _Test:
         """Whether the test is over at a reaction so far below its peak."""
         s = self.settings
         return not s.full_curve and reaction < (1.0 - s.peak_drop) * march.peak
+
+    def _known(self, march: March, outcome: Equilibrium) -> bool:
+        """Whether a reaction past the peak is known without equilibrium: only the drop is asked."""
+        known = outcome.unbalanced <= _KNOWN * outcome.reaction
+        past = outcome.reaction + outcome.unbalanced < march.peak
+        return known and past and not self.settings.full_curve
 
     def _start(self) -> March:
         """The solid before it is pulled."""
@@ -486,26 +490,3 @@ class _Test:
         for vertices, values in parts:
             result[self.vertices[vertices]] = values
         return result
-
-
-def peak_of_curve(elongation: np.ndarray, force: np.ndarray) -> tuple[float, float]:
-    """Elongation and force at the peak: the vertex of the parabola through the highest point.
-
-    The highest point itself is returned where it is the last one, or where one of its neighbours is
-    more than _UNEVEN times nearer than the other: a curve that breaks off has no parabola.
-    """
-    k = int(np.argmax(force))
-    if k == 0 or k == len(force) - 1:
-        return float(elongation[k]), float(force[k])
-    x, y = elongation[k - 1 : k + 2], force[k - 1 : k + 2]
-    before, after = np.diff(x)  # one of them is zero where the solid parted at its peak
-    if not (before > 0 < after and 1 / _UNEVEN <= after / before <= _UNEVEN):
-        return float(x[1]), float(y[1])
-    rise, fall = np.diff(y) / np.diff(x)
-    bend = (fall - rise) / (x[2] - x[0])
-    if not bend < 0:
-        return float(x[1]), float(y[1])
-    top = 0.5 * (x[0] + x[1]) - 0.5 * rise / bend
-    if not x[0] <= top <= x[2]:
-        return float(x[1]), float(y[1])
-    return float(top), float(y[0] + (rise + bend * (top - x[1])) * (top - x[0]))

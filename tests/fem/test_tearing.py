@@ -116,6 +116,7 @@ def test_unbalanced_forces_bound_what_the_reaction_is_off(monkeypatch):
     """Newton after 1, 2, ... iterations against where it ends, over a whole test of a bar."""
     points, cells = round_bar(2, 4, 1e-3, 4e-3, waist=0.3)
     f0 = np.random.default_rng(2).uniform(0.0, 0.6, len(cells))
+    settings = TensileSettings(maximum_strain=0.1, maximum_increment=0.01)
     solve, ratios = module.EquilibriumSolver.solve, []
 
     def in_parts(self, guess, amount):
@@ -130,34 +131,39 @@ def test_unbalanced_forces_bound_what_the_reaction_is_off(monkeypatch):
         return outcome, tried
 
     monkeypatch.setattr(module.EquilibriumSolver, "solve", in_parts)
-    result = tensile_test(points, cells, f0, MAGNESIUM, TensileSettings(maximum_strain=0.1))
+    result = tensile_test(points, cells, f0, MAGNESIUM, settings)
     assert result.status == "past_peak"
-    print(len(ratios), np.sort(ratios)[-8:])
-    assert len(ratios) > 30
-    assert max(ratios) < 1.0
+    assert len(ratios) > 20
+    assert max(ratios) < 1.0  # measured 0.37
 
 
-def test_a_test_ends_where_forces_out_of_balance_leave_no_doubt_that_its_peak_is_past(monkeypatch):
+def test_past_the_peak_a_test_goes_on_and_ends_by_reactions_that_are_known(monkeypatch):
     """Newton never ends beyond the peak of a waisted bar: only its unbalanced forces say so."""
     points, cells = round_bar(2, 4, 1e-3, 4e-3, waist=0.3)
     f0 = np.random.default_rng(2).uniform(0.0, 0.6, len(cells))
-    settings = TensileSettings(maximum_strain=0.1, peak_drop=0.05)
+    settings = TensileSettings(maximum_strain=0.1, maximum_increment=0.01, peak_drop=0.05)
     whole = tensile_test(points, cells, f0, MAGNESIUM, settings)
-    assert whole.status == "past_peak" and whole.force[-1] < 0.95 * whole.peak_force
+    at = int(np.argmax(whole.force))
+    assert whole.status == "past_peak" and at < len(whole.force) - 3
+    assert 0.925 < whole.force[-1] / whole.peak_force < 0.94
     solve = module.EquilibriumSolver.solve
-    for share, expected in ((0.0, "past_peak"), (0.03, "stopped: stuck")):
-        unbalanced = share * whole.peak_force
+    # the reaction is off by a two thousandth: each increment will do; by a two hundredth: the last
+    # one is known to be too low; by three hundredths: nothing is known
+    for off, beyond, expected, points_on_curve in (
+        (0.0005, 1.0, "past_peak", len(whole.force)),
+        (0.005, 0.95, "past_peak", len(whole.force) - 1),
+        (0.03, 0.95, "stopped: stuck", len(whole.force) - 1),
+    ):
 
-        def stuck(self, guess, amount, unbalanced=unbalanced):
+        def stuck(self, guess, amount, off=off, beyond=beyond):
             outcome, tried = solve(self, guess, amount)
-            past = outcome.converged and outcome.reaction < 0.95 * whole.peak_force
-            if past and amount > whole.elongation_at_peak:
+            if amount > whole.elongation[at] and outcome.reaction < beyond * whole.force[at]:
+                unbalanced = off * whole.peak_force
                 outcome = replace(outcome, converged=False, reason="stuck", unbalanced=unbalanced)
             return outcome, tried
 
         monkeypatch.setattr(module.EquilibriumSolver, "solve", stuck)
         result = tensile_test(points, cells, f0, MAGNESIUM, settings)
-        print(result.status, len(result.force), len(whole.force), result.force, whole.force)
-        assert result.status.startswith(expected)
+        assert result.status.startswith(expected), off
+        assert len(result.force) == points_on_curve, off
         assert result.peak_force == pytest.approx(whole.peak_force, rel=1e-9)
-        assert len(result.force) >= len(whole.force) - 1
