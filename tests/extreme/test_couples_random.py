@@ -1,4 +1,6 @@
-"""A few of the random couples and pits by default, more when slow tests run."""
+"""A few of the random couples and pits by default, 1,000 when slow tests run."""
+
+from collections import Counter
 
 import pytest
 
@@ -28,12 +30,19 @@ def test_a_random_pit_keeps_its_bounds(seed):
 
 
 @pytest.mark.slow
-def test_many_random_pits():
-    outcomes = [check_pit(seed) for seed in range(250)]  # 40 s of processor time
-    assert outcomes.count("pit through") > 100 and outcomes.count("pit with islands") > 20
-
-
-@pytest.mark.slow
-def test_many_random_couples():
-    outcomes = [check(seed) for seed in range(60)]
-    assert outcomes.count("marched") > 30 and outcomes.count("no sink") < 15
+@pytest.mark.parametrize(
+    ("one", "first", "count"),
+    [
+        *((check, first, 100) for first in range(0, 400, 100)),
+        *((check_ions, first, 30) for first in range(0, 300, 30)),
+        *((check_pit, first, 150) for first in range(0, 300, 150)),
+    ],
+)
+def test_a_thousand_random_scenes(one, first, count):
+    """The bounds of random_couples; 30 to 90 s of processor time each."""
+    outcomes = Counter(one(seed) for seed in range(first, first + count))
+    few, most = count // 10, count // 2
+    if one is check_pit:
+        assert outcomes["pit through"] > most and outcomes["pit with islands"] > few
+    else:
+        assert outcomes["marched"] > most and outcomes["no sink"] < few
