@@ -101,11 +101,10 @@ def check_pit(seed: int) -> str:
     assert all(np.isfinite(values).all() for values in history.values()), seed
     most = scene.saturation_concentration
     for concentration, metal in zip(result.concentration, result.metal, strict=True):
-        assert concentration.min() >= -1e-12 * SOLID, (seed, concentration.min())
+        assert concentration.min() >= 0.0, (seed, concentration.min())
         liquid = concentration[scene.domain & ~metal]
-        # the solver's tolerance is relative to what the metal holds (1.2e-10 measured, seed 4)
-        above = max(1e-8 * most, 1e-9 * SOLID)
-        assert liquid.max(initial=0.0) <= most + above, (seed, liquid.max() / most)
+        # measured at most 5e-10 (seed 161 of 300)
+        assert liquid.max(initial=0.0) <= most * (1 + 1e-8), (seed, liquid.max() / most - 1)
         assert concentration.max() <= SOLID * (1 + 1e-12), seed
     assert not (result.metal[1] & ~result.metal[0]).any(), seed
     assert (np.diff(history["volume_loss"]) >= -1e-9).all(), seed

@@ -23,9 +23,9 @@ def test_a_random_couple_with_ions_keeps_its_bounds(seed):
     assert check_ions(seed) in ("marched", "used up", "no sink")
 
 
-@pytest.mark.parametrize("seed", [4, 31, 40, 52])
+@pytest.mark.parametrize("seed", [31, 40, 46, 52, 169])
 def test_a_random_pit_keeps_its_bounds(seed):
-    """C_sat/C_solid from 1e-6 on, pits through a plate, islands; the last once lost 1.5 %."""
+    """C_sat/C_solid from 1e-6 on, pits through a plate, islands; the last three once broke one."""
     assert check_pit(seed).startswith("pit")
 
 

@@ -67,18 +67,21 @@ class Balance:
         released: float,
         active: np.ndarray,
         more: float = 0.0,
+        emptied: np.ndarray | None = None,
     ) -> float:
         """Scale the liquid (or the metal) so that the stage's amounts add up to round-off.
 
         What is missing is the sum of the linear solver's residual, which would add up over the
         steps (and is the solver's round-off, not its tolerance, for very stiff ones).  The factor
-        differs from 1 by no more than that.  Where the liquid is too clean to hold it, or all of
-        it is held at C_sat, what the metal loses takes it, so that no node rises above its old
+        differs from 1 by no more than that.  Where the liquid is too clean to hold it, or would
+        rise above C_sat by it, what the metal loses takes it, so that no node rises above its old
         value or falls below zero; at rest the metal itself does, by 1e-9 of it at most and up to
-        its C_solid; where there is no metal either, what is released does.
+        its C_solid; where there is no metal either, what is released does, or the room that the
+        liquid has below C_sat.
 
-        released : mol.  more : that pores hold more than before, mol/m^3 times cells.  Returns what
-        is to be added to what is released.
+        released : mol.  more : that pores hold more than before, mol/m^3 times cells.  emptied :
+        metal that the stage empties, padded; while other metal is left it takes nothing, since it
+        is liquid at C_sat at most.  Returns what is to be added to what is released.
         """
         p = self.phases
         total = p.processes.total
@@ -89,23 +92,41 @@ class Balance:
         change = content - p.capacity * np.where(p.free | p.metal, old, 0.0)
         passed = released / p.scene.lattice.cell_volume
         missing = -total(float(change.sum())) - more - passed
-        if liquid > 0 and abs(missing) <= 1e-6 * liquid:
-            result[solved] *= 1.0 + missing / liquid
+        factor = 1.0 + missing / liquid if liquid > 0 else 1.0
+        small = liquid > 0 and abs(missing) <= 1e-6 * liquid
+        highest = p.processes.largest(float(result[solved].max(initial=0.0)))
+        most = p.scene.saturation_concentration
+        bound = p.scene.saturation == "complementarity" and factor > 1.0
+        if small and not (bound and factor * highest > most):
+            result[solved] *= factor
             return 0.0
-        metal = total(float(content[p.metal].sum()))
-        lost = -total(float(change[p.metal].sum()))
-        if 0 < missing <= 1e-3 * lost:
-            result[p.metal] += missing / lost * (old - result)[p.metal]
+        left = p.metal if emptied is None else p.metal & ~emptied
+        if not p.processes.any(left.any()):
+            left = p.metal
+        metal = total(float(content[left].sum()))
+        lost = -total(float(change[left].sum()))
+        # Where liquid is full, the metal takes back what it lost, which it did not by its law.
+        if 0 < missing <= (lost + 1e-12 * metal if small else 1e-3 * lost):
+            result[left] += min(1.0, missing / lost if lost > 0 else 0.0) * (old - result)[left]
         elif missing < 0 and -missing <= min(max(1e-3 * lost, 1e-9 * metal), 1e-3 * metal):
-            result[p.metal] *= 1.0 + missing / metal
+            result[left] *= 1.0 + missing / metal
         elif 0 < missing <= 1e-9 * metal:
-            highest = p.of_solids([solid.concentration for solid in p.scene.solids])
-            room = np.maximum(highest - result, 0.0)[p.metal]
-            space = total(float((p.capacity[p.metal] * room).sum()))
-            result[p.metal] += min(1.0, missing / space) * room if space > 0 else 0.0
+            full = p.of_solids([solid.concentration for solid in p.scene.solids])
+            self._fill(result, left, full, missing)
         elif abs(missing) <= min(1e-3 * passed, max(1e-6 * passed, 1e-9 * self.metal_scale)):
             return missing * p.scene.lattice.cell_volume
+        elif small:
+            self._fill(result, solved, most, missing)
         return 0.0
+
+    def _fill(
+        self, result: np.ndarray, nodes: np.ndarray, full: np.ndarray | float, missing: float
+    ) -> None:
+        """Add an amount (mol/m^3 times cells) to nodes, in place, in proportion to their room."""
+        p = self.phases
+        room = np.maximum(full - result, 0.0)[nodes]
+        space = p.processes.total(float((p.capacity[nodes] * room).sum()))
+        result[nodes] += min(1.0, missing / space) * room if space > 0 else 0.0
 
     def release_rate(
         self,

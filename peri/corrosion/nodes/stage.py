@@ -162,8 +162,8 @@ class StageSolver:
         result = np.where(d.free, y, 0.0)
         view = result[d.window]
         view[d.box_metal[d.box.interior]] = (metal + exchange.gained)[d.box_metal]
-        release += d.balance.close(result, old, tau * release, held.active, more) / tau
         emptied = None if exchange.emptied is None else d.put(exchange.emptied) > 0
+        release += d.balance.close(result, old, tau * release, held.active, more, emptied) / tau
         if kept is not None and emptied is not None:
             # An emptied node opens with what its pores hold.
             kept = d.put(kept)
