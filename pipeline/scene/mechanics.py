@@ -75,7 +75,7 @@ class TensileScene:
     peak_drop: float = 0.05
     damage: str = "cell"
     damage_length: float = 0.0
-    mapping: str = NODES
+    mapping: str = AUTO
     load: str = "axial"
     bending_azimuth: float | None = None
 

@@ -32,7 +32,6 @@ OPTIONS = [
     *("--alloy", "Mg-5Gd", "Mg-10Gd", "--immersion", "0w", "8w", "--thread", "none"),
     *("--spacing", "250um", "--horizon", "250um", "--mesh-size", "0.6mm", "--element", "P1"),
     *("--radial-margin", "0.5mm", "--axial-margin", "0.5mm", "--final-strain", "0.05"),
-    *("--mapping", "auto"),
 ]
 ROOT = Path(__file__).resolve().parents[2]
 LABELS = ("0w", "8w")
@@ -82,7 +81,6 @@ KEYWORDS = {
     "radial_margin": "500um",
     "axial_margin": 0.0005,
     "final_strain": 0.05,
-    "mapping": "auto",
 }
 """OPTIONS as a person may give them in Python, alloys and times apart."""
 

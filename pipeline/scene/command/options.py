@@ -225,8 +225,8 @@ def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -
     tensile.add_argument(
         "--mapping",
         metavar="M",
-        help=f"lattice to mesh: {', '.join(MAPPINGS)} (nodes; auto: exposures where the scene "
-        "allows; a cell's skin goes first)",
+        help=f"lattice to mesh: {', '.join(MAPPINGS)} (auto: exposures where the scene allows; a "
+        "cell's skin goes first)",
     )
     tensile.add_argument(
         "--damage-length", metavar="LENGTH", help="over which the growth of f is averaged (0mm)"
