@@ -68,6 +68,7 @@ def solid_exposure(
         kernel_exponent=kernel_exponent, influence=influence,
     )  # fmt: skip
     if kept is not None:
+        kept.parent.mkdir(parents=True, exist_ok=True)
         temporary = kept.with_name(f".{kept.name}.{os.getpid()}.npz")
         np.savez(
             temporary, cell=found.metal.cell, volume=found.metal.volume,

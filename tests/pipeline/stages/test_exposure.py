@@ -39,7 +39,7 @@ def test_the_surface_s_part_is_kept(tmp_path, monkeypatch):
     solid, spacing = small_ball(), 1e-4
     lattice = Lattice((-5e-4,) * 3, (spacing,) * 3, (11, 11, 11))
     fraction = share_of_ball(lattice, (0.0, 0.0, 0.0), 3e-4)
-    arguments = (solid, lattice, 2e-4, fraction, 2, 0.0, "constant", tmp_path)
+    arguments = (solid, lattice, 2e-4, fraction, 2, 0.0, "constant", tmp_path / "new")
     first = solid_exposure(*arguments)
     monkeypatch.setattr("pipeline.stages.exposure.cell_exposure", None)
     again = solid_exposure(*arguments)
