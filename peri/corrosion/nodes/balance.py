@@ -7,6 +7,10 @@ import numpy as np
 from peri.corrosion.interface.exchange import Exchange
 from peri.corrosion.phases import Phases
 
+_ROUND_OFF = 1e-10
+"""Share of C_sat by which liquid may lie above it: of full liquid what the solver left open, which
+the next stage holds at C_sat again."""
+
 
 class Balance:
     """Volume loss, amounts and their balance.
@@ -74,10 +78,10 @@ class Balance:
         What is missing is the sum of the linear solver's residual, which would add up over the
         steps (and is the solver's round-off, not its tolerance, for very stiff ones).  The factor
         differs from 1 by no more than that.  Where the liquid is too clean to hold it, or would
-        rise above C_sat by it, what the metal loses takes it, so that no node rises above its old
-        value or falls below zero; at rest the metal itself does, by 1e-9 of it at most and up to
-        its C_solid; where there is no metal either, what is released does, or the room that the
-        liquid has below C_sat.
+        rise above C_sat by more than round-off, what the metal loses takes it, so that no node
+        rises above its old value or falls below zero; at rest the metal itself does, by 1e-9 of it
+        at most and up to its C_solid; where there is no metal either, what is released does, or
+        the room that the liquid has below C_sat.
 
         released : mol.  more : that pores hold more than before, mol/m^3 times cells.  emptied :
         metal that the stage empties, padded; while other metal is left it takes nothing, since it
@@ -97,7 +101,7 @@ class Balance:
         highest = p.processes.largest(float(result[solved].max(initial=0.0)))
         most = p.scene.saturation_concentration
         bound = p.scene.saturation == "complementarity" and factor > 1.0
-        if small and not (bound and factor * highest > most):
+        if small and not (bound and factor * highest > (1.0 + _ROUND_OFF) * most):
             result[solved] *= factor
             return 0.0
         left = p.metal if emptied is None else p.metal & ~emptied
