@@ -26,7 +26,7 @@ logger = logging.getLogger(__name__)
 
 MOST_TIMES = 6
 """Number of times that are shown of each alloy."""
-ENOUGH_CELLS = 50_000
+ENOUGH_CELLS = 40_000
 """Cells from which on a mesh is not refined for pictures."""
 PICTURES_FOLDER = "pictures"
 

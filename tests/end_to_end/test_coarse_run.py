@@ -365,7 +365,7 @@ def test_an_interrupted_run_resumes_to_the_same_numbers(run, tmp_path):
     [
         # the fully plastic pin at its initial yield stress: (2/3) pi r^3 s / sqrt(3), (4/3) r^3 s
         (("torsion",), 0.106),
-        (("bending", "--bending-azimuth", "30deg"), 0.117),
+        pytest.param(("bending", "--bending-azimuth", "30deg"), 0.117, marks=pytest.mark.slow),
     ],
 )
 def test_a_pin_is_twisted_or_bent_instead_of_pulled(tmp_path, words, plastic):

@@ -200,6 +200,7 @@ def quick_screw():
     return corrosion_scene(whole, "Mg-5Gd", lattice, domain, *metal_of(whole, lattice, solid))
 
 
+@pytest.mark.slow
 def test_the_liquid_of_the_screw_is_within_its_bound_and_the_rest_is_error_in_time():
     scene, end = quick_screw(), 8 * WEEK
     lean, omissions = corrode_lean(scene, [end])

@@ -127,10 +127,10 @@ HERE, ELSEWHERE = (0.31, 0.77, 0.12), (0.81, 0.29, 0.52)
         ("ball", 2, HERE, 3, 2e-3),
         ("plate", 2, HERE, 4, 5e-3),
         ("plate", 2, ELSEWHERE, 3, 5e-3),
-        ("torus", 2, HERE, 3, 2e-3),
+        pytest.param("torus", 2, HERE, 3, 2e-3, marks=pytest.mark.slow),
         ("ball", 3, HERE, 3, 1e-3),
         ("cube", 2, HERE, 3, 1e-3),
-        ("thin plate", 2, HERE, 3, 1e-2),
+        pytest.param("thin plate", 2, HERE, 3, 1e-2, marks=pytest.mark.slow),
     ],
 )
 def test_estimate_over_true_error(body, ratio, shift, high, most):

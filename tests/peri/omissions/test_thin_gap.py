@@ -72,6 +72,7 @@ def test_with_the_constants_of_the_printed_lattice_half_a_millimetre_ignites():
     assert 1e3 * history["active_site"][-1] == pytest.approx(1.11, abs=0.1)  # cell of 100 um
 
 
+@pytest.mark.slow
 def test_steps_do_not_decide():
     exact = corrode(crevice(nodes=64), stepping=TimeStepping(rate_change=0.025))
     for stepping in (
@@ -85,7 +86,14 @@ def test_steps_do_not_decide():
     assert abs(lost[1] / lost[2] - 1) < 1.2 * abs(lost[0] / lost[1] - 1) < 5e-3
 
 
-@pytest.mark.parametrize(("charge", "distance"), [(2.0, 7.178), (2.5, 8.026), (3.0, 8.792)])
+@pytest.mark.parametrize(
+    ("charge", "distance"),
+    [
+        pytest.param(2.0, 7.178, marks=pytest.mark.slow),
+        (2.5, 8.026),
+        pytest.param(3.0, 8.792, marks=pytest.mark.slow),
+    ],
+)
 def test_steady_distance_to_saturation_is_a_quadrature(charge, distance):
     """D h C'' = -i/(zF) (1 - C/C_solid) with C' = 0 where C = C_sat, for a flat film of 25 um."""
     law, gap = AcidityLaw(MOST), 25e-6

@@ -1,6 +1,6 @@
 """Small marches to compare one process with MPI ranks; as a script it runs them on ranks.
 
-mpirun -n 2 python -m tests.peri.parallel.rank_cases FILE.npz
+mpirun -n 2 python -m tests.peri.parallel.rank_cases FILE.npz [NAME...]
 """
 
 import sys
@@ -216,22 +216,34 @@ def solve(system, right, processes=ONE_PROCESS):
     return processes.gather(system.sum.crop(x)), count
 
 
-def main(path: str) -> None:
-    """Run everything on the ranks of the world; rank 0 writes the results."""
+def main(path: str, *names: str) -> None:
+    """Run everything, or the marches of these names, on the ranks; rank 0 writes the results."""
     from mpi4py import MPI
 
     from peri.corrosion.ranks import corrode
-    from peri.parallel.ranks import Ranks
 
     comm, out = MPI.COMM_WORLD, {}
     root = comm.rank == 0
-    for name, (make, times, stepping) in MARCHES.items():
+    for name in names or MARCHES:
+        make, times, stepping = MARCHES[name]
         result = corrode(make() if root else None, times, stepping, **options(name))
         if root:
             for field in ("concentration", "metal", "volume_loss"):
                 out[f"{name}/{field}"] = getattr(result, field)
             for field, values in result.history.items():
                 out[f"{name}/history/{field}"] = values
+    if not names:
+        others(comm, path, out)
+    if root:
+        np.savez(path, **out)
+
+
+def others(comm, path: str, out: dict) -> None:
+    """Linear systems, marches that are stopped and resumed, and a refusal; rank 0 fills out."""
+    from peri.corrosion.ranks import corrode
+    from peri.parallel.ranks import Ranks
+
+    root = comm.rank == 0
     for stiffness in STIFFNESSES:
         scene = ball_scene()
         ranks = Ranks(comm, scene.stencil, scene.domain)
@@ -269,9 +281,7 @@ def main(path: str) -> None:
         corrode(small if root else None, (1.0,))
     except ValueError as error:
         out["refusal"] = str(error)
-    if root:
-        np.savez(path, **out)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(*sys.argv[1:])

@@ -1,4 +1,4 @@
-"""The march on 4 MPI ranks, with `slow` on 1 and 2 as well, against the embedded solver."""
+"""The march on 2 MPI ranks, with `slow` on 1 and 4 as well, against the embedded solver."""
 
 import numpy as np
 import pytest
@@ -9,8 +9,17 @@ from peri.engine.processes import share_out, work_per_plane
 from tests.peri.parallel import rank_cases
 from tests.ranks import OnRanks, needs_mpirun
 
-RANKS = (4, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 2)))
-"""Four have blocks beside one another along two axes; two share theirs in the couples' tests."""
+RANKS = (2, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 4)))
+ON_FOUR = ("ball",)
+"""Marches that four ranks, in blocks beside one another along two axes, do by default, too."""
+RUNS = [
+    *(pytest.param(name, 4, ON_FOUR, id=f"{name}-4") for name in ON_FOUR),
+    *(
+        pytest.param(name, *ranks.values, (), id=f"{name}-{ranks.values[0]}-all", marks=ranks.marks)
+        for name in rank_cases.MARCHES
+        for ranks in (pytest.param(2), *RANKS[1:])
+    ),
+]
 
 pytest.importorskip("petsc4py")
 
@@ -31,10 +40,9 @@ def embedded():
 
 
 @needs_mpirun
-@pytest.mark.parametrize("ranks", RANKS)
-@pytest.mark.parametrize("name", rank_cases.MARCHES)
-def test_march_agrees_with_the_embedded_solver(name, ranks, on_ranks, embedded):
-    arrays, expected = on_ranks(ranks), embedded[name]
+@pytest.mark.parametrize(("name", "ranks", "names"), RUNS)
+def test_march_agrees_with_the_embedded_solver(name, ranks, names, on_ranks, embedded):
+    arrays, expected = on_ranks(ranks, names), embedded[name]
     solid = expected.scene.solid_concentration
     # The state is not trivial: metal is lost, liquid is reached.
     assert expected.volume_loss[-1] > 0.01
@@ -54,10 +62,9 @@ def test_march_agrees_with_the_embedded_solver(name, ranks, on_ranks, embedded):
 
 
 @needs_mpirun
-@pytest.mark.parametrize("ranks", RANKS)
-@pytest.mark.parametrize("name", rank_cases.MARCHES)
-def test_amounts_and_iterations_of_the_march(name, ranks, on_ranks, embedded):
-    arrays, expected = on_ranks(ranks), embedded[name].history
+@pytest.mark.parametrize(("name", "ranks", "names"), RUNS)
+def test_amounts_and_iterations_of_the_march(name, ranks, names, on_ranks, embedded):
+    arrays, expected = on_ranks(ranks, names), embedded[name].history
     # round-off, as the stages close their balance: measured 2e-16
     assert np.abs(arrays[f"{name}/history/balance_error"]).max() < 1e-14
     for field in ("time", "saturated_nodes", "dissolved_nodes"):

@@ -22,7 +22,7 @@ def test_a_case_that_fails_says_why():
         in_own_process("solve", spacing=-1.0, m=2, ratio=100.0)
 
 
-@pytest.mark.parametrize("m", [2, 4])
+@pytest.mark.parametrize("m", [2, pytest.param(4, marks=pytest.mark.slow)])
 def test_the_published_screw_can_be_made_coarse(m):
     scene = published_screw("Mg-5Gd", m, 2e-4)
     assert scene.horizon == pytest.approx(m * 2e-4)

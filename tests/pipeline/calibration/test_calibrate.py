@@ -43,6 +43,7 @@ def noiseless(pin):
     return Measurements(WEEKS, model(WEEKS, np.log(values))[0], np.full(5, 0.01)), values
 
 
+@pytest.mark.slow
 def test_noiseless_data_give_the_published_constants_back(pin, noiseless):
     scene, implant = pin
     data, values = noiseless

@@ -147,7 +147,10 @@ def test_reference_screw_surface_is_closed_and_close():
             slot_width=0.8e-3,
             slot_depth=1.1e-3,
         ),
-        ScrewParameters(length=1.3e-3, pitch=0.25e-3, thread_angle=math.radians(55)),
+        pytest.param(
+            ScrewParameters(length=1.3e-3, pitch=0.25e-3, thread_angle=math.radians(55)),
+            marks=pytest.mark.slow,
+        ),
     ],
     ids=["grooves", "pin", "no slot, flat root", "M3", "fine pitch"],
 )
@@ -191,6 +194,7 @@ def test_quick_mesh():
     _assert_sound(mesh, reference_screw(), 0.015)  # measured -0.7 %
 
 
+@pytest.mark.slow
 def test_standard_mesh():
     mesh = fine_mesh()
     assert 40_000 <= mesh.quality["cells"] <= 80_000  # measured 57,850
@@ -200,6 +204,7 @@ def test_standard_mesh():
     _assert_sound(mesh, reference_screw(), 0.003)  # measured -0.1 %
 
 
+@pytest.mark.slow
 def test_mesh_is_finer_at_the_thread():
     mesh = fine_mesh()
     centre = mesh.points[mesh.cells].mean(axis=1)

@@ -36,6 +36,13 @@ TOO_WEAK = UntilRow(
 )
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _coarser_pictures():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(picture_set, "ENOUGH_CELLS", 5000)  # a third of the time
+        yield
+
+
 @pytest.fixture(scope="module")
 def mesh():
     return pin_mesh()
@@ -52,9 +59,7 @@ def full(tmp_path_factory, mesh):
     scene = scene_of(measured_volume_loss={"Mg-5Gd": str(data)})
     write_run(path, scene, *mesh)
     write_until(path / UNTIL_FILE, [TOO_WEAK])
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(picture_set, "ENOUGH_CELLS", 5000)  # coarser pictures, a third of the time
-        return path, *page_of(path)
+    return path, *page_of(path)
 
 
 def test_it_says_when_the_part_is_too_weak(full):

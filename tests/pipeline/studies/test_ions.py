@@ -7,6 +7,7 @@ from peri.engine.march.marching import TimeStepping
 from pipeline.studies import ions, ions_published
 
 
+@pytest.mark.slow
 def test_joined_brucite_takes_what_sequential_splitting_loses() -> None:
     joined, short, long = ions.splitting_table((1000.0, 86400.0)).rows
     # Exact 0.8617 at spacing zero; with 80 nodes 0.864.
