@@ -39,6 +39,9 @@ _ROUND_OFF = 1e-12
 """Of the metal: such a loss is that of the means of classes."""
 _LEAST_LEFT = 1e-15
 """Of a cell: what is left counts as this much at least."""
+_SLIVER = 0.02
+"""Of a cell: with less metal its dose is that of the outermost metal alone and does not speak for
+the space around, where others do (pipeline/MEASURED.md)."""
 _ROUNDS = 100
 _SETTLED = 1e-12
 _PARTS = 8
@@ -52,6 +55,8 @@ _ASIDE = 0.7188559
 
 def doses(scene: CorrosionScene, concentration: Array) -> Array | None:
     """z of every cell at every time (nt, nx, ny, nz), the inverse of an exposure; NaN without one.
+
+    Cells with less than a fiftieth of metal have none, unless all have as little.
 
     concentration: (nt, nx, ny, nz), mol/m^3, the mean of each cell's metal.  None without rate
     classes, for a law of the bond that does not decay, and where metal that saw no liquid at the
@@ -71,6 +76,8 @@ def doses(scene: CorrosionScene, concentration: Array) -> Array | None:
     fraction = metal.fraction.ravel()
     share /= fraction[cells][:, None]
     blind = np.maximum(1.0 - share.sum(axis=1), 0.0)
+    slivers = fraction[cells] < _SLIVER
+    slivers &= not slivers.all()
     out = np.full((len(concentration), fraction.size), np.nan)
     for n, values in enumerate(concentration):
         left = np.clip(values.ravel() / scene.solid_concentration, 0.0, 1.0)
@@ -78,7 +85,8 @@ def doses(scene: CorrosionScene, concentration: Array) -> Array | None:
         unseen = float(lost.sum()) - float(lost[cells].sum())
         if unseen > _UNSEEN * float(lost.sum()) + _ROUND_OFF * float(fraction.sum()):
             return None
-        out[n, cells] = _dose(share, rate, blind, np.maximum(left[cells], _LEAST_LEFT))
+        dose = _dose(share, rate, blind, np.maximum(left[cells], _LEAST_LEFT))
+        out[n, cells] = np.where(slivers, np.nan, dose)
     return out.reshape(concentration.shape)
 
 
