@@ -67,7 +67,9 @@ class InterfaceLaw(ABC):
     """A law of the bonds across the interface.
 
     name : as scenes and files say it.  saturations, schemes : what it goes with, and why not
-    with the others (`only`).  reduces : whether in clean liquid every metal node obeys
+    with the others (`only`).  reaches : of the bonds, how far around the metal that sees liquid a
+    stage looks at first: one, and another where a node that it empties exposes others.  reduces :
+    whether in clean liquid every metal node obeys
     C' = -lambda g C, which peri.omissions rests on.
     """
 
@@ -75,6 +77,7 @@ class InterfaceLaw(ABC):
     saturations: ClassVar[tuple[str, ...]] = SATURATION_MODELS
     schemes: ClassVar[tuple[str, ...]] = ("forward_euler", "backward_euler", "sdirk2")
     only: ClassVar[str] = ""
+    reaches: ClassVar[int] = 1
     reduces: ClassVar[bool] = False
 
     def key(self) -> dict[str, object]:

@@ -6,6 +6,9 @@ alone, so that a march cannot have one array of an old phase.
 
 from __future__ import annotations
 
+import copy
+from typing import Self
+
 import numpy as np
 
 from peri.corrosion.blocks import block_scene
@@ -49,8 +52,9 @@ class Phases:
         self.initial_metal = self.metal.copy()
         self.solid = self.sum.pad(scene.phases()).astype(np.uint8)
         self._rates: tuple[float, float] | None = None
+        self._beside: Self | None = None
         self.walls = Walls(self.sum) if scene.walls else None
-        self._make_box()
+        self._make_box(self.metal)
         self.update_phase()
 
     def of_solids(self, values: list[float]) -> np.ndarray:
@@ -67,21 +71,24 @@ class Phases:
             for number in range(1, len(self.scene.solids) + 1)
         ]
 
-    def _make_box(self) -> None:
-        """The part of the lattice within reach of the initial metal, with its own arrays."""
-        interior = self.metal[self.sum.interior]
-        window = box_in_reach(interior, self.sum.reach, self.processes)
+    def _make_box(self, metal: np.ndarray, reaches: int = 1) -> None:
+        """The part of the lattice within some reaches of metal (padded, bool)."""
+        window = self._around(metal, reaches)
         if window is None:
             self.box = None
             return
-        padded = [
-            slice(w.start + r, w.stop + r) for w, r in zip(window, self.sum.reach, strict=True)
-        ]
-        self.window = tuple(padded)
         shape = tuple(w.stop - w.start for w in window)[3 - self.sum.stencil.dimension :]
         self.box = NonlocalSum(
             self.scene.interface_stencil, shape, processes=self.processes, window=window
         )
+        reach = self.sum.reach
+        self.window = tuple(
+            slice(w.start + r, w.stop + r) for w, r in zip(window, reach, strict=True)
+        )
+
+    def _around(self, metal: np.ndarray, reaches: int) -> tuple[slice, ...] | None:
+        reach = tuple(reaches * r for r in self.sum.reach)
+        return box_in_reach(metal[self.sum.interior], reach, self.processes)
 
     def take(self, values: np.ndarray) -> np.ndarray:
         """The box's part of a padded field, padded itself."""
@@ -104,24 +111,46 @@ class Phases:
         self.free_volume = np.where(self.free, self.capacity, 0.0)
         self.neighbour_liquid = self.sum(self.liquid_volume)
         self.largest_sum = self.processes.largest(float(self.neighbour_liquid.max()))
-        self._rates = None
+        self._rates = self._beside = None
         if self.walls is not None:
             volume = self.sum.crop(self.liquid_volume)
             self.walls.update(volume, self.scene.liquid_diffusivity * volume)
         if self.box is not None:
-            self.box = self.box.on_rows_of(self.take(liquid) > 0, around=True)
-            self.box_metal = self.take(self.metal) > 0
-            self.box_phase = np.where(self.box_metal, self.take(self.solid), 0).astype(np.uint8)
-            self.box_metal_volume = self.take(np.where(self.metal, self.capacity, 0.0))
-            self.box_liquid_volume = self.take(self.liquid_volume)
-            self.box_free_volume = self.take(self.free_volume)
-            self.box_neighbour_liquid = self.take(self.neighbour_liquid)
-            self.box_seen_metal = self.box(self.box_metal_volume)
-            self.box_fixed_volume = self.take(np.where(self.fixed, self.capacity, 0.0))
-            self.box_of_fixed = self.box.on_rows_of(self.box_fixed_volume > 0)
-            self.box_seen_liquid = self.box_neighbour_liquid
-            if self.box.stencil is not self.sum.stencil:
-                self.box_seen_liquid = self.box(self.box_liquid_volume)
+            self._update_box()
+
+    def _update_box(self) -> None:
+        self.box = self.box.on_rows_of(self.take(self.liquid_volume) > 0, around=True)
+        self.box_metal = self.take(self.metal) > 0
+        self.box_phase = np.where(self.box_metal, self.take(self.solid), 0).astype(np.uint8)
+        self.box_metal_volume = self.take(np.where(self.metal, self.capacity, 0.0))
+        self.box_liquid_volume = self.take(self.liquid_volume)
+        self.box_free_volume = self.take(self.free_volume)
+        self.box_neighbour_liquid = self.take(self.neighbour_liquid)
+        self.box_seen_metal = self.box(self.box_metal_volume)
+        self.box_fixed_volume = self.take(np.where(self.fixed, self.capacity, 0.0))
+        self.box_of_fixed = self.box.on_rows_of(self.box_fixed_volume > 0)
+        self.box_seen_liquid = self.box_neighbour_liquid
+        if self.box.stencil is not self.sum.stencil:
+            self.box_seen_liquid = self.box(self.box_liquid_volume)
+
+    def beside_liquid(self) -> Self:
+        """The same with a box no larger than the law of the bonds needs (InterfaceLaw.reaches).
+
+        box_far : bool, nodes of it beyond a reach of the metal that sees liquid, by the enclosing
+        box: if a stage empties one, what it exposes lies off the box.
+        """
+        if self._beside is None:
+            part, exposed = copy.copy(self), self.put(self.box_metal & (self.box_seen_liquid > 0))
+            part._make_box(exposed > 0, self.scene.dissolution.reaches)
+            near = self._around(exposed > 0, 1)
+            if part.box is None or near is None:
+                return self
+            part._update_box()
+            far = np.ones(self.sum.padded_shape)
+            far[self.sum.interior][near] = 0.0
+            part.box_far = part.take(far) > 0
+            self._beside = part
+        return self._beside
 
     def dissolve(self, gone: np.ndarray | None) -> int:
         """Turn metal nodes into liquid; returns how many (over all processes)."""

@@ -12,29 +12,34 @@ from numba import njit, prange
 
 from peri.engine.compiled import CONTRACT, Array, Triple, by_size
 
+STRETCH = 400
+"""Numbers that a sum over bonds adds in one loop where rows are shorter: rows of 12 to 22 take two
+thirds of the time that they take one by one; 250 to 1,600 of them differ by less than the noise."""
+
 
 @njit(cache=True, fastmath=CONTRACT)
-def _sum_rows(source: Array, rows: Array, first: int, last: int, target: Array) -> None:
-    """target[:] = sum of source[rows[first:last]], four rows a sweep."""
+def _sum_rows(source: Array, starts: Array, first: int, last: int, target: Array) -> None:
+    """target[:] = sum of the stretches of source from starts[first:last], four a sweep."""
     n = target.size
     r = first
     if last - first >= 2:
-        a, b = source[rows[r]], source[rows[r + 1]]
+        a, b = source[starts[r] : starts[r] + n], source[starts[r + 1] : starts[r + 1] + n]
         for k in range(n):
             target[k] = a[k] + b[k]
         r += 2
     else:
-        a = source[rows[r]]
+        a = source[starts[r] : starts[r] + n]
         for k in range(n):
             target[k] = a[k]
         r += 1
     while last - r >= 4:
-        a, b, c, d = source[rows[r]], source[rows[r + 1]], source[rows[r + 2]], source[rows[r + 3]]
+        a, b = source[starts[r] : starts[r] + n], source[starts[r + 1] : starts[r + 1] + n]
+        c, d = source[starts[r + 2] : starts[r + 2] + n], source[starts[r + 3] : starts[r + 3] + n]
         for k in range(n):
             target[k] += (a[k] + b[k]) + (c[k] + d[k])
         r += 4
     while r < last:
-        a = source[rows[r]]
+        a = source[starts[r] : starts[r] + n]
         for k in range(n):
             target[k] += a[k]
         r += 1
@@ -99,45 +104,56 @@ def _convolve_tile(
         return
     n = k1 - k0 + 2 * rc
     width = j1 - j0 + 2 * rb
-    # Sums of the planes i-a and i+a, shared by every row of the tile.
-    planes = np.empty(((ra + 1) * width, n))
+    # Sums of the planes i-a and i+a, shared by every row of the tile; row after row, so that
+    # neighbouring rows are one stretch, which short rows are worked off in.
+    planes = np.empty((ra + 1) * width * n)
     for j in range(width):
-        target = planes[j]
+        target = planes[j * n : (j + 1) * n]
         here = u[i + ra, j0 + j, k0 : k0 + n]
         for k in range(n):
             target[k] = here[k]
     for a in range(1, ra + 1):
         for j in range(width):
-            target = planes[a * width + j]
+            first = (a * width + j) * n
+            target = planes[first : first + n]
             before = u[i + ra - a, j0 + j, k0 : k0 + n]
             after = u[i + ra + a, j0 + j, k0 : k0 + n]
             for k in range(n):
                 target[k] = sign_a * before[k] + after[k]
     n_shells = shell_start.size - 1
-    shells = np.empty((n_shells, n))
-    columns = np.empty((rc + 1, n))
-    rows = np.empty(source_a.size, np.int64)
-    for j in range(j0, j1):
-        lo, hi = low[i, j], high[i, j]
-        if hi <= lo:
+    most = max(1, min(j1 - j0, STRETCH // n))
+    shells = np.empty((n_shells, most * n))
+    columns = np.empty((rc + 1, most * n))
+    starts = np.empty(source_a.size, np.int64)
+    j = j0
+    while j < j1:
+        if high[i, j] <= low[i, j]:
+            j += 1
             continue
-        for r in range(rows.size):
-            rows[r] = source_a[r] * width + (j - j0 + rb + source_b[r])
+        last = j + 1
+        while last < j1 and last - j < most and high[i, last] > low[i, last]:
+            last += 1
+        length = (last - j) * n
+        for r in range(starts.size):
+            starts[r] = (source_a[r] * width + (j - j0 + rb + source_b[r])) * n
         for s in range(n_shells):
-            _sum_rows(planes, rows, shell_start[s], shell_start[s + 1], shells[s])
+            _sum_rows(planes, starts, shell_start[s], shell_start[s + 1], shells[s][:length])
         for c in range(rc + 1):
-            _combine_shells(shells, weights[c], shells_used[c], columns[c])
-        m = hi - lo
-        shift = lo - k0 + rc
-        target = out[i + ra, j + rb, lo + rc : hi + rc]
-        first = columns[0, shift : shift + m]
-        for k in range(m):
-            target[k] = first[k]
-        for c in range(1, rc + 1):
-            before = columns[c, shift - c : shift - c + m]
-            after = columns[c, shift + c : shift + c + m]
+            _combine_shells(shells, weights[c], shells_used[c], columns[c][:length])
+        for row in range(j, last):
+            lo, hi = low[i, row], high[i, row]
+            m = hi - lo
+            shift = (row - j) * n + lo - k0 + rc
+            target = out[i + ra, row + rb, lo + rc : hi + rc]
+            middle = columns[0, shift : shift + m]
             for k in range(m):
-                target[k] += sign_c * before[k] + after[k]
+                target[k] = middle[k]
+            for c in range(1, rc + 1):
+                before = columns[c, shift - c : shift - c + m]
+                after = columns[c, shift + c : shift + c + m]
+                for k in range(m):
+                    target[k] += sign_c * before[k] + after[k]
+        j = last
 
 
 @by_size

@@ -327,6 +327,28 @@ class DiffusionSystem(LinearSystem):
             extra_diagonal=extra_diagonal,
         )
 
+    def with_weight(
+        self, weight: np.ndarray, extra_diagonal: np.ndarray | None = None
+    ) -> DiffusionSystem:
+        """The system of other unknown nodes, preconditioned by the multigrid of this one.
+
+        weight, extra_diagonal : as for the class; where few nodes join or leave the unknown ones.
+        Work arrays are shared, so the two must not be solved at the same time.
+
+        Raises ValueError for a system with walls.
+        """
+        if not isinstance(self.operator, Convolution):
+            raise ValueError("with_weight: systems without walls")
+        other = copy.copy(self)
+        other.weight = weight
+        other.operator = Convolution(
+            self.sum, weight, diagonal=self.diagonal, coefficient=self.operator.coefficient
+        )
+        other.mask = other._unscale = other.operator.unknown
+        full = other.operator.diagonal()
+        other._inverse = _inverse_of(full if extra_diagonal is None else full + extra_diagonal)
+        return other
+
     def with_diagonal(self, diagonal: np.ndarray, sink: np.ndarray) -> DiffusionSystem:
         """The system with another diagonal and its row sums, padded arrays; without `extra`.
 

@@ -14,7 +14,7 @@ from numba import njit, prange
 
 from peri.corrosion.kinetics import ConstantRate
 from peri.corrosion.nodes.bimaterial import BiMaterial
-from peri.corrosion.run import corrode
+from peri.corrosion.run import CorrosionResult, corrode
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.influence import diffusion_stencil
 from peri.engine.lattice import Lattice
@@ -239,7 +239,7 @@ def pitting_step(shape: tuple[int, int, int] = (128, 128, 64), end: float = 300.
     The error is that of the amount dissolved at the end, relative, against a march with a far
     smaller control target.  It is measured on a lattice of half the edges, where the longest
     implicit steps are chosen from which on all err no more than the explicit march; the times
-    are those of the whole lattice.
+    are those of the whole lattice.  Implicit steps begin with 2 s and are solved to 1e-6.
     """
     half = tuple(n // 2 for n in shape)
     change, errors = _equal_error(pitting_scene(half), end)
@@ -258,10 +258,10 @@ def pitting_step(shape: tuple[int, int, int] = (128, 128, 64), end: float = 300.
     ]
     if change is None:
         return [*results, Result("no implicit march errs as little as the explicit one", 1, "1")]
-    march = corrode(scene, [end], TimeStepping("sdirk2", rate_change=change))
+    march = _implicit(scene, end, change)
     return [
         *results,
-        Result(f"implicit run to {end:g} s at most at that error", march.wall_time, "s"),
+        Result(f"implicit run to {end:g} s at most at that error", march.wall_time, "s", "<= 30 s"),
         Result("its control target", change, "1"),
         Result("its steps", len(march.history["time"]) - 1, "1", "653 (public, explicit)"),
         Result("its metal dissolved, share", float(march.volume_loss[-1]), "1"),
@@ -271,16 +271,22 @@ def pitting_step(shape: tuple[int, int, int] = (128, 128, 64), end: float = 300.
 EXPLICIT = TimeStepping("forward_euler")
 
 
+def _implicit(scene: CorrosionScene, end: float, change: float) -> CorrosionResult:
+    """Steps of the second order; their errors in time leave 1e-6 far behind."""
+    stepping = TimeStepping("sdirk2", rate_change=change, first_step=2.0)
+    return corrode(scene, [end], stepping, solver_tolerance=1e-6)
+
+
 def _equal_error(scene: CorrosionScene, end: float) -> tuple[float | None, dict[str, float]]:
     """The longest controlled steps that err no more than the explicit march, and all errors."""
-    exact = corrode(scene, [end], TimeStepping("sdirk2", rate_change=0.0125)).volume_loss[-1]
+    exact = corrode(scene, [end], TimeStepping("sdirk2", rate_change=0.00625)).volume_loss[-1]
 
-    def error(stepping: TimeStepping) -> float:
-        return abs(float(corrode(scene, [end], stepping).volume_loss[-1] / exact) - 1)
+    def error(march: CorrosionResult) -> float:
+        return abs(float(march.volume_loss[-1] / exact) - 1)
 
-    errors, enough = {"explicit": error(EXPLICIT)}, None
-    for change in (0.1, 0.05, 0.025):
-        found = errors[f"implicit {change:g}"] = error(TimeStepping("sdirk2", rate_change=change))
+    errors, enough = {"explicit": error(corrode(scene, [end], EXPLICIT))}, None
+    for change in (0.1, 0.05, 0.035, 0.025):
+        found = errors[f"implicit {change:g}"] = error(_implicit(scene, end, change))
         # A small error that shorter steps do not confirm is luck.
         if found > errors["explicit"]:
             enough = None
@@ -303,10 +309,10 @@ def pitting_scene(shape: tuple[int, int, int]) -> CorrosionScene:
     spacing = 27.5e-6
     lattice = Lattice((0.0,) * 3, (spacing,) * 3, shape)
     x, y, z = lattice.coordinates()
-    middle, top = 0.5 * spacing * (shape[0] - 1), spacing * (shape[2] - 1)
+    middle, surface = 0.5 * spacing * (shape[0] - 1), 0.75 * spacing * shape[2]
     radius = 12 * spacing * shape[0] / 128
-    opening = (x - middle) ** 2 + (y - middle) ** 2 + (z - top) ** 2 < radius**2
-    metal = np.broadcast_to((z < 0.75 * shape[2] * spacing) & ~opening, shape)
+    opening = (x - middle) ** 2 + (y - middle) ** 2 + (z - surface) ** 2 < radius**2
+    metal = np.broadcast_to((z < surface) & ~opening, shape)
     return CorrosionScene(
         lattice,
         3 * spacing,

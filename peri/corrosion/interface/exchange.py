@@ -43,6 +43,10 @@ class Exchange(ABC):
         """Mean share of a metal node's response that is storage, for the preconditioner."""
         return 1.0
 
+    def turnover(self) -> float:
+        """How often a metal node of this process exchanges its content in the stage, at most."""
+        return np.inf
+
     @abstractmethod
     def set(self, theta: np.ndarray, rate: float, local: np.ndarray | float = 1.0) -> None:
         """Fix the saturation factors, the interface diffusivity (m^2/s) and the nodes' shares."""

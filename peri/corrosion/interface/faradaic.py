@@ -40,6 +40,7 @@ class Faradaic(InterfaceLaw):
     name = "faradaic"
     saturations = ("complementarity", "none")
     schemes = ("backward_euler", "sdirk2")
+    reaches = 2
     only = "implicit stages know when a node is empty; the published switch is the other law's"
 
     def liquid_below(self, scene: CorrosionScene) -> float:

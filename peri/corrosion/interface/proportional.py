@@ -113,6 +113,10 @@ class ProportionalExchange(Exchange):
             self._response = self.p.box_metal_volume * response
         return self._response
 
+    def turnover(self) -> float:
+        """See Exchange.turnover."""
+        return self.tau * float(self.outflow[self.p.box_metal].max(initial=0.0))
+
     @property
     def storage_share(self) -> float:
         """See Exchange."""

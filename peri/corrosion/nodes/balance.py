@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 
 from peri.corrosion.interface.exchange import Exchange
@@ -16,8 +18,11 @@ class Balance:
     """Volume loss, amounts and their balance.
 
     metal_scale : sum over the initial metal of c C_solid (in cells).  liquid_below : metal with
-    no more than this is liquid, mol/m^3.
+    no more than this is liquid, mol/m^3.  beyond : what metal off the box holds above that (in
+    cells of this process).
     """
+
+    beyond = 0.0
 
     def __init__(self, phases: Phases) -> None:
         self.phases, scene = phases, phases.scene
@@ -28,6 +33,18 @@ class Balance:
         self._loss_scale = sum(
             v * (c - self.liquid_below) for v, c in zip(volumes, contents, strict=True)
         )
+
+    def of(self, part: Phases) -> Balance:
+        """The same for phases that have a smaller box."""
+        other = copy.copy(self)
+        other.phases = part
+        return other
+
+    def leave_out(self, old: np.ndarray) -> None:
+        """Take what metal off the box holds, which does not change, from a padded array."""
+        p = self.phases
+        values = np.where(p.metal, np.maximum(old - self.liquid_below, 0.0) * p.capacity, 0.0)
+        self.beyond = float(values.sum() - values[p.window].sum())
 
     def volume_loss(self, concentration: np.ndarray) -> float:
         """V_L = 1 - sum_metal c (C - C_sat) / sum_initial metal c (C_solid - C_sat).
@@ -46,7 +63,7 @@ class Balance:
         """V_L for metal concentrations on the box."""
         p = self.phases
         values = np.maximum(box_metal_concentration[p.box_metal] - self.liquid_below, 0.0)
-        left = float((values * p.box_metal_volume[p.box_metal]).sum())
+        left = float((values * p.box_metal_volume[p.box_metal]).sum()) + self.beyond
         return min(1.0, max(0.0, 1.0 - p.processes.total(left) / self._loss_scale))
 
     def amounts(

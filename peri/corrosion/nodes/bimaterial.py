@@ -49,11 +49,11 @@ class BiMaterial(InterfaceRates):
 
     def forget(self) -> None:
         """Drop the preconditioner of earlier stages."""
-        self._solver.forget()
+        self._solver.liquid.forget()
 
     def set_aside(self) -> None:
         """Give the preconditioner's memory back until the next stage."""
-        self._solver.set_aside()
+        self._solver.liquid.set_aside()
 
     def volume_loss(self, concentration: np.ndarray) -> float:
         """See Balance.volume_loss."""

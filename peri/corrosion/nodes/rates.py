@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from operator import is_
+from typing import Self
 
 import numpy as np
 
@@ -64,6 +65,18 @@ class InterfaceRates(Phases):
         """Let the interface carry a share of what it carries bare, from now on."""
         self.base_diffusivity = share * self.scene.base_interface_diffusivity()
         self._rates = None
+
+    def beside_liquid(self) -> Self:
+        """See Phases.beside_liquid; with what the kinetics is told now."""
+        part = super().beside_liquid()
+        if part is not self:
+            part.tolerance, part.base_diffusivity = self.tolerance, self.base_diffusivity
+            part.balance = self.balance.of(part)
+            part.surface = {
+                name: part.take(self.put(values)) if np.ndim(values) else values
+                for name, values in self.surface.items()
+            }
+        return part
 
     def fastest_rate(self) -> float:
         """Largest row sum of the operator at zero volume loss, 1/s (bound of its spectrum / 2)."""

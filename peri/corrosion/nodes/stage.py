@@ -7,19 +7,19 @@ A stage goes in rounds: settle the rate with the volume loss that it causes, sol
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from peri.corrosion.interface import saturation
 from peri.corrosion.interface.exchange import Exchange, FixedPoint
+from peri.corrosion.nodes.liquid_system import LiquidSystem, Right
 from peri.corrosion.nodes.pores import Pores
 from peri.corrosion.nodes.rates import InterfaceRates
 from peri.corrosion.settling import settled_loss
 from peri.engine import kernels
 from peri.engine.march.problem import BoundsError
-from peri.engine.solvers import ConvergenceError, DiffusionSystem
+from peri.engine.solvers import ConvergenceError
 
 _MAXIMUM_ROUNDS = 60
 _LOSS_TOLERANCE = 1e-9
@@ -29,6 +29,10 @@ _DRIFT = 1e-7
 _ROUND_REDUCTION = 0.1
 _ROUND_OFF = 4 * np.finfo(float).eps
 """Of a sum over bonds relative to its largest terms: no residual is known better."""
+
+
+class _TooFar(Exception):
+    """The stage empties metal that exposes nodes off the box that it looks at."""
 
 
 @dataclass
@@ -51,35 +55,15 @@ class Stage:
     """What the emptied share of each metal node holds, mol/m^3, padded."""
 
 
-@dataclass
-class _Right:
-    """What a stage starts from, on padded arrays of the lattice: right side and step (s).
+class StageSolver:
+    """Solves stages of the problem `whole`; keeps one preconditioner between the rounds.
 
-    pores : liquid in the metal's emptied share, where the scene has it.
+    d : the problem as a stage sees it, with a box no larger than the law of the bonds needs.
     """
 
-    old: np.ndarray
-    tau: float
-    pores: Pores | None = None
-
-
-class StageSolver:
-    """Solves stages of the problem `d`; keeps one preconditioner between the rounds."""
-
-    def __init__(self, d: InterfaceRates) -> None:
-        self.d = d
-        self._system: DiffusionSystem | None = None
-        self._system_key: tuple[float, bytes | None] | None = None
-        self._metal: tuple[np.ndarray, float] | None = None
-        """The metal's diagonal and its share of storage that the system was made with."""
-
-    def forget(self) -> None:
-        """Drop the preconditioner of earlier stages."""
-        self._system = self._system_key = None
-
-    def set_aside(self) -> None:
-        """Give its memory back; a later stage makes it anew, the same to the last bit."""
-        self._system = None
+    def __init__(self, whole: InterfaceRates) -> None:
+        self.d = self.whole = whole
+        self.liquid = LiquidSystem()
 
     def solve(
         self,
@@ -91,11 +75,28 @@ class StageSolver:
         pores: np.ndarray | None = None,
     ) -> Stage:
         """See BiMaterial.implicit_stage."""
-        d = self.d
+        self.d = self._part(old)
+        try:
+            return self._solve(old, tau, guess, theta, volume_loss, pores)
+        except _TooFar:
+            self.d = self.whole
+            self.liquid.forget()
+            return self._solve(old, tau, guess, theta, volume_loss, pores)
+
+    def _solve(
+        self,
+        old: np.ndarray,
+        tau: float,
+        guess: np.ndarray,
+        theta: np.ndarray | None,
+        volume_loss: float,
+        pores: np.ndarray | None,
+    ) -> Stage:
+        d, theta = self.d, self._within(theta)
         filled = None
         if pores is not None and d.box is not None:
             filled = Pores(d, d.take(d.initial_concentration), pores)
-        right = _Right(old, tau, filled)
+        right = Right(old, tau, filled)
         y = np.where(d.free, guess, 0.0)
         if d.box is None:
             iterations, _ = self._solve_liquid(y, right, None, None)
@@ -120,11 +121,14 @@ class StageSolver:
             rounds += 1
             liquid = d.take(y)
             volume_loss = self._settle_rate(exchange, held.theta, volume_loss, liquid, known, gone)
+            if d is not self.whole and exchange.emptied is not None:
+                if d.processes.any((exchange.emptied & d.box_far).any()):
+                    raise _TooFar
             view = y[d.window]
             view[held.active[d.box.interior]] = saturated
             if filled is not None:
                 filled.fill(exchange.metal_concentration(liquid))
-            count, solved = self._solve_liquid(y, right, exchange, held.active)
+            count, solved = self._solve_liquid(y, right, exchange, held.active, held.gain)
             iterations += count
             liquid = d.take(y)
             metal = exchange.metal_concentration(liquid)
@@ -150,7 +154,7 @@ class StageSolver:
                 f"saturation: the active set did not settle in {rounds} rounds at a "
                 f"step of {tau:.3g} s"
             )
-        release = d.balance.release_rate(y, exchange, metal)
+        release = d.balance.release_rate(y, exchange, metal, held.gain)
         kept, more = None, 0.0
         if filled is not None:
             kept = filled.holds(d.take(y))
@@ -159,7 +163,7 @@ class StageSolver:
         if d.processes.any(held.active.any()):
             metal = exchange.correct(metal, held.change(), saturated)
             volume_loss, held.theta = d.balance.loss_of(metal), held.bonds_on
-        result = np.where(d.free, y, 0.0)
+        result = np.where(d.free, y, np.where(d.metal, old, 0.0))
         view = result[d.window]
         view[d.box_metal[d.box.interior]] = (metal + exchange.gained)[d.box_metal]
         emptied = None if exchange.emptied is None else d.put(exchange.emptied) > 0
@@ -170,13 +174,37 @@ class StageSolver:
             result += np.where(emptied, kept, 0.0)
             kept = np.where(emptied, 0.0, kept)
         return Stage(
-            result, held.theta, volume_loss, release, iterations, rounds, emptied, exchange.late(),
-            exchange.switch(), kept,
+            result, self._around(held.theta, self.whole.box_liquid_volume > 0), volume_loss,
+            release, iterations, rounds, emptied, exchange.late(),
+            self._around(exchange.switch(), self.whole.box_metal), kept,
         )  # fmt: skip
+
+    def _part(self, old: np.ndarray) -> InterfaceRates:
+        """The problem with the box that the stage from `old` needs."""
+        if self.whole.box is None:
+            return self.whole
+        part = self.whole.beside_liquid()
+        if part is not self.whole:
+            part.balance.leave_out(old)
+        return part
+
+    def _within(self, values: np.ndarray | None) -> np.ndarray | None:
+        """A field of the whole box on that of the stage."""
+        if values is None or self.d is self.whole:
+            return values
+        return self.d.take(self.whole.put(values))
+
+    def _around(self, values: np.ndarray | None, elsewhere: np.ndarray) -> np.ndarray | None:
+        """A field of the stage's box on the whole one; elsewhere 1 on the nodes marked."""
+        if values is None or self.d is self.whole:
+            return values
+        out = self.whole.put(elsewhere)
+        out[self.d.window] = values[self.d.box.interior]
+        return self.whole.take(out)
 
     def alone(self, old: np.ndarray, tau: float, volume_loss: float) -> Stage:
         """The metal's stage in liquid that stays clean: all that the metal loses is released."""
-        d = self.d
+        d = self.d = self.whole
         if d.box is None:
             return Stage(np.zeros_like(old), None, 0.0, 0.0, 0, 1)
         exchange = d.scene.dissolution.exchange(d, old, tau)
@@ -237,9 +265,16 @@ class StageSolver:
     # --- liquid ---------------------------------------------------------------------------
 
     def _solve_liquid(
-        self, y: np.ndarray, right: _Right, exchange: Exchange | None, active: np.ndarray | None
+        self,
+        y: np.ndarray,
+        right: Right,
+        exchange: Exchange | None,
+        active: np.ndarray | None,
+        gain: np.ndarray | None = None,
     ) -> tuple[int, bool]:
         """Improve the liquid concentrations y in place; active nodes keep their value.
+
+        gain : sum over the bonds of what the liquid holds, where the caller has it; overwritten.
 
         While there are active nodes a round only has to shrink the residual it starts with: the
         next round changes the right side again.  Returns the iterations and whether the
@@ -247,8 +282,8 @@ class StageSolver:
         """
         d, tau = self.d, right.tau
         held = active is not None and d.processes.any(active.any())
-        system = self._linear_system(right, exchange, active)
-        r = d.flow(d.liquid_volume * y)
+        system, share = self.liquid.at(d, right, exchange, active)
+        r = d.flow(d.liquid_volume * y) if gain is None else gain
         squares = kernels.stage_residual(
             y, right.old, r, system.weight, system.diagonal, d.scene.liquid_diffusivity, tau,
             *d.flow.rows,
@@ -271,6 +306,8 @@ class StageSolver:
             floor = rounding * self._norm(system.weight * y)
         wanted = max(wanted, floor)
         enough = max(wanted, _ROUND_REDUCTION * self._norm(r)) if held else wanted
+        if share is not None and enough > wanted:
+            share.roughly()
         iterations = system.solve(y, r, enough)
         if 0 < wanted == floor and not held:
             if not d.is_open:
@@ -281,7 +318,7 @@ class StageSolver:
                 return iterations + more, settled
         return iterations, enough <= wanted
 
-    def _level(self, y: np.ndarray, right: _Right, exchange: Exchange | None) -> None:
+    def _level(self, y: np.ndarray, right: Right, exchange: Exchange | None) -> None:
         """Scale closed liquid (in place) so that the amounts add up, where round-off hides that.
 
         In a step far longer than diffusion takes, the level of the liquid is known by its storage
@@ -305,86 +342,16 @@ class StageSolver:
         squares = float(kernels.inner_product(values, values).sum())
         return math.sqrt(self.d.processes.total(squares))
 
-    def _linear_system(
-        self, right: _Right, exchange: Exchange | None, active: np.ndarray | None
-    ) -> DiffusionSystem:
-        p, d = self.d, self.d.scene.liquid_diffusivity
-        tau, pores = right.tau, right.pores
-        key = (tau, None if active is None else active.tobytes())
-        if p.processes.any(self._system is None or self._system_key != key):
-            if p.processes.any(self._system_key != key):
-                self._metal = None
-                if exchange is not None:
-                    self._metal = exchange.diagonal().copy(), exchange.storage_share
-            weight = p.free_volume.copy()
-            if active is not None:
-                weight[p.window][active[p.box.interior]] = 0.0
-            diagonal = 1.0 / tau + d * p.neighbour_liquid
-            sink = weight * (diagonal - d * p.flow(weight))
-            if p.walls is not None:
-                on = (weight > 0).astype(float)
-                sink = sink + on * (p.walls.diagonal - p.walls.gain(on, np.zeros_like(on)))
-            extra_diagonal = None
-            if self._metal is not None:
-                metal_diagonal, storage_share = self._metal
-                extra_diagonal = (weight > 0) * p.put(metal_diagonal)
-                sink = sink + extra_diagonal * storage_share
-            if pores is not None:
-                extra_diagonal = (weight > 0) * p.put(pores.volume) / tau
-                sink = sink + extra_diagonal
-            self._system = DiffusionSystem(
-                p.flow, weight, diagonal, d, sink, extra_diagonal=extra_diagonal, walls=p.walls
-            )
-            self._system_key = key
-        system = self._system
-        assert system is not None
-        coupled = exchange is not None and exchange.couples
-        system.extra = self._coupling(system, exchange) if coupled else None
-        if pores is not None:
-            system.extra = self._storage(system, pores.volume / tau)
-        return system
-
-    def _storage(
-        self, system: DiffusionSystem, per_second: np.ndarray
-    ) -> Callable[[np.ndarray, np.ndarray], float]:
-        """What pores add to the liquid's matrix, 1/s times relative volume, on the box."""
-        d = self.d
-        share = np.where(d.take(system.weight) > 0, per_second, 0.0)[d.box.interior]
-
-        def add(u: np.ndarray, y: np.ndarray) -> float:
-            own = share * u[d.window]
-            y[d.window] += own
-            return float((own * u[d.window]).sum())
-
-        return add
-
-    def _coupling(
-        self, system: DiffusionSystem, exchange: Exchange
-    ) -> Callable[[np.ndarray, np.ndarray], float]:
-        """The metal's share of the liquid's matrix (it is eliminated), as an in-place update."""
-        d = self.d
-        unknown = d.take(system.weight)
-        own = exchange.diagonal() * (unknown > 0)
-        back = exchange.theta * unknown * exchange.rate
-
-        def add(u: np.ndarray, y: np.ndarray) -> float:
-            box_u = d.take(u)
-            share = own * box_u
-            share -= back * exchange.through_metal(box_u)
-            y[d.window] += share[d.box.interior]
-            return float(kernels.inner_product(share, box_u).sum())
-
-        return add
-
 
 class _Held:
     """Liquid nodes held at C_sat and the saturation factors of all, round by round.
 
-    theta : factors that the last solution used.  active : nodes that it held.
+    theta : factors that the last solution used.  active : nodes that it held.  gain : sum over the
+    bonds of what the last solution's liquid holds (padded), until something changes it.
     """
 
     def __init__(
-        self, solver: StageSolver, right: _Right, exchange: Exchange, theta: np.ndarray | None
+        self, solver: StageSolver, right: Right, exchange: Exchange, theta: np.ndarray | None
     ) -> None:
         self.d, self.right, self.exchange = solver.d, right, exchange
         if theta is None:
@@ -392,6 +359,7 @@ class _Held:
         self.theta = self.bonds_on = self._wanted = theta
         self.active = (theta < 1.0) & (self.d.box_free_volume > 0)
         self._stall = saturation.Stall()
+        self.gain: np.ndarray | None = None
 
     def next(
         self, y: np.ndarray, metal: np.ndarray, loss: float, settled: bool
@@ -410,16 +378,18 @@ class _Held:
         off = (np.abs(self.bonds_on - self.theta) * available)[self.active]
         mismatch = tau * total(float(off.sum()))
         changed = d.processes.any(not np.array_equal(new_active, self.active))
-        settled &= not changed and mismatch <= 1e-9 * d.balance.metal_scale * max(1e-3, loss)
+        settled &= not changed and mismatch <= d.tolerance * d.balance.metal_scale * max(1e-3, loss)
         if settled:
             # Judged by its amount: `available` grows with D_int without limit.
             shortfall = total(-float(needed[self.active].clip(max=0.0).sum()))
-            if tau * shortfall > 1e-9 * d.balance.metal_scale:
+            if tau * shortfall > d.tolerance * d.balance.metal_scale:
                 raise BoundsError("saturation: the stage would need a negative inflow")
             return True, False
         if self._stall.after(int(total(int((new_active != self.active).sum()))), mismatch):
             return False, True
-        self.active, self.theta = new_active, self.bonds_on
+        if changed:
+            self.active, self.gain = new_active, None  # those that join are moved to C_sat
+        self.theta = self.bonds_on
         return False, False
 
     def change(self) -> np.ndarray:
@@ -430,7 +400,8 @@ class _Held:
         """Inflow that each active node needs to stay at C_sat, and what theta = 1 would bring."""
         d, diffusivity = self.d, self.d.scene.liquid_diffusivity
         available = self.exchange.offered(metal, d.scene.saturation_concentration)
-        gain, here = d.take(d.flow(d.liquid_volume * y)), d.take(y)
+        self.gain = d.flow(d.liquid_volume * y)
+        gain, here = d.take(self.gain), d.take(y)
         spread = diffusivity * (gain - d.box_neighbour_liquid * here)
         needed = (here - d.take(self.right.old)) / self.right.tau - spread
         needed = d.box_free_volume * needed
