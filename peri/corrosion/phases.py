@@ -152,6 +152,29 @@ class Phases:
             self._beside = part
         return self._beside
 
+    def to_part(self, part: Phases, values: np.ndarray) -> np.ndarray:
+        """A padded field of this box on that of `beside_liquid`."""
+        if part is self:
+            return values
+        out = np.zeros(part.box.padded_shape)
+        out[part.box.interior] = values[self._place(part)]
+        return out
+
+    def from_part(self, part: Phases, values: np.ndarray, elsewhere: np.ndarray) -> np.ndarray:
+        """The other way; off the smaller box the field is `elsewhere` (padded)."""
+        if part is self:
+            return values
+        out = elsewhere.astype(float)
+        out[self._place(part)] = values[part.box.interior]
+        return out
+
+    def _place(self, part: Phases) -> tuple[slice, ...]:
+        """Where the nodes of a smaller box are in padded arrays of this one."""
+        return tuple(
+            slice(p.start - w.start + r, p.stop - w.start + r)
+            for p, w, r in zip(part.window, self.window, self.box.reach, strict=True)
+        )
+
     def dissolve(self, gone: np.ndarray | None) -> int:
         """Turn metal nodes into liquid; returns how many (over all processes)."""
         if gone is None:

@@ -128,33 +128,35 @@ class BiMaterial(InterfaceRates):
         if self.walls is not None:
             share = np.where(self.free_volume > 0, self.free_volume, np.inf)
             transport = transport + self.walls.flow(liquid) / share
-        new = np.where(self.free, old + step * transport, 0.0)
-        theta, state, before = None, None, None
+        new = np.where(self.free, old + step * transport, np.where(self.metal, old, 0.0))
+        theta, state, before, part = None, None, None, self
         if self.box is not None:
-            state = scene.dissolution.exchange(self, old, np.inf)
+            part = self.beside_liquid()
+            state = scene.dissolution.exchange(part, old, np.inf)
             before = state.old_metal
             if scene.saturation == "as_published":
                 full = self.free & (old >= scene.saturation_concentration)
                 state.switch_off(np.where(full, self.capacity, 0.0))
-            theta = (self.box_liquid_volume > 0).astype(float)
-            here, at = self.take(liquid), self.rates_at(old, volume_loss)
+            theta = (part.box_liquid_volume > 0).astype(float)
+            here, at = part.take(liquid), part.rates_at(old, volume_loss)
             state.set(theta, at.rate, at.local)
             drawn = at.rate * state.weight * at.inflow
             metal = before + step * (drawn - state.outflow * before)
             changed = state.hold_back(metal)
-            seen = self.box(self.box_metal_volume * state.weight * before)
+            seen = part.box(part.box_metal_volume * state.weight * before)
             inflow = step * at.rate * (seen - state.seen_metal * here)
-            inflow = np.where(self.box_free_volume > 0, inflow, 0.0)
+            inflow = np.where(part.box_free_volume > 0, inflow, 0.0)
             if scene.saturation == "complementarity":
-                room = np.maximum(scene.saturation_concentration - self.take(new), 0.0)
+                room = np.maximum(scene.saturation_concentration - part.take(new), 0.0)
                 full = inflow > room
                 theta[full] = room[full] / inflow[full]
                 changed |= self.processes.any(full.any())
             if changed:
                 state.set(theta, at.rate, at.local)
-                drawn = at.rate * state.weight * self.box(state.bonds * here)
+                drawn = at.rate * state.weight * part.box(state.bonds * here)
                 metal = before + step * (drawn - state.outflow * before)
-            new[self.window] += (theta * inflow)[self.box.interior]
-            view = new[self.window]
-            view[self.box_metal[self.box.interior]] = metal[self.box_metal]
-        return new, self.balance.release_rate(liquid, state, before, gain), theta
+            new[part.window] += (theta * inflow)[part.box.interior]
+            view = new[part.window]
+            view[part.box_metal[part.box.interior]] = metal[part.box_metal]
+            theta = self.from_part(part, theta, self.box_liquid_volume > 0)
+        return new, part.balance.release_rate(liquid, state, before, gain), theta

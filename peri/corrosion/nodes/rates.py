@@ -73,7 +73,7 @@ class InterfaceRates(Phases):
             part.tolerance, part.base_diffusivity = self.tolerance, self.base_diffusivity
             part.balance = self.balance.of(part)
             part.surface = {
-                name: part.take(self.put(values)) if np.ndim(values) else values
+                name: self.to_part(part, values) if np.ndim(values) else values
                 for name, values in self.surface.items()
             }
         return part
@@ -94,15 +94,16 @@ class InterfaceRates(Phases):
                 share = np.where(self.free_volume > 0, self.free_volume, np.inf)
                 rates = rates + self.walls.diagonal / share
             if self.box is not None:
+                part = self.beside_liquid()
                 if concentration is None:
-                    g, local = self.interface_rate(0.0)
-                    metal = self.box(self.box_metal_volume * local)
+                    g, local = part.interface_rate(0.0)
+                    metal = part.box(part.box_metal_volume * local)
                 else:
-                    at = self.rates_at(concentration, 0.0)
+                    at = part.rates_at(concentration, 0.0)
                     g, local, metal = at.rate, at.local, at.seen_metal
-                seen = np.where(self.box_free_volume > 0, metal, 0.0)
-                rates[self.window] += (g * seen)[self.box.interior]
-                seen = (local * self.box_seen_liquid)[self.box_metal]
+                seen = np.where(part.box_free_volume > 0, metal, 0.0)
+                rates[part.window] += (g * seen)[part.box.interior]
+                seen = (local * part.box_seen_liquid)[part.box_metal]
                 in_metal = g * float(seen.max(initial=0.0))
             largest = self.processes.largest
             self._rates = largest(float(rates.max())), largest(in_metal)
@@ -120,9 +121,10 @@ class InterfaceRates(Phases):
             at, before = self._at
             if at.asked == (volume_loss, self.base_diffusivity) and all(map(is_, asked, before)):
                 return at
-        liquid = self.take(np.where(self.metal, 0.0, concentration))
+        values = self.take(concentration)
+        liquid = np.where(self.box_metal, 0.0, values)
         inflow = self.box(self.box_liquid_volume * liquid)
-        known, gone = self.seen_liquid(liquid, inflow), self.lost(self.take(concentration))
+        known, gone = self.seen_liquid(liquid, inflow), self.lost(values)
         rate, local = self.interface_rate(volume_loss, known, gone)
         seen_metal = self.box_seen_metal
         if np.ndim(local):

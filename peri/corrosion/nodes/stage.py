@@ -92,7 +92,9 @@ class StageSolver:
         volume_loss: float,
         pores: np.ndarray | None,
     ) -> Stage:
-        d, theta = self.d, self._within(theta)
+        d, whole = self.d, self.whole
+        if theta is not None:
+            theta = whole.to_part(d, theta)
         filled = None
         if pores is not None and d.box is not None:
             filled = Pores(d, d.take(d.initial_concentration), pores)
@@ -173,11 +175,14 @@ class StageSolver:
             kept = d.put(kept)
             result += np.where(emptied, kept, 0.0)
             kept = np.where(emptied, 0.0, kept)
+        switch = exchange.switch()
+        if switch is not None:
+            switch = whole.from_part(d, switch, whole.box_metal)
+        theta = whole.from_part(d, held.theta, whole.box_liquid_volume > 0)
+        late = exchange.late()
         return Stage(
-            result, self._around(held.theta, self.whole.box_liquid_volume > 0), volume_loss,
-            release, iterations, rounds, emptied, exchange.late(),
-            self._around(exchange.switch(), self.whole.box_metal), kept,
-        )  # fmt: skip
+            result, theta, volume_loss, release, iterations, rounds, emptied, late, switch, kept
+        )
 
     def _part(self, old: np.ndarray) -> InterfaceRates:
         """The problem with the box that the stage from `old` needs."""
@@ -187,20 +192,6 @@ class StageSolver:
         if part is not self.whole:
             part.balance.leave_out(old)
         return part
-
-    def _within(self, values: np.ndarray | None) -> np.ndarray | None:
-        """A field of the whole box on that of the stage."""
-        if values is None or self.d is self.whole:
-            return values
-        return self.d.take(self.whole.put(values))
-
-    def _around(self, values: np.ndarray | None, elsewhere: np.ndarray) -> np.ndarray | None:
-        """A field of the stage's box on the whole one; elsewhere 1 on the nodes marked."""
-        if values is None or self.d is self.whole:
-            return values
-        out = self.whole.put(elsewhere)
-        out[self.d.window] = values[self.d.box.interior]
-        return self.whole.take(out)
 
     def alone(self, old: np.ndarray, tau: float, volume_loss: float) -> Stage:
         """The metal's stage in liquid that stays clean: all that the metal loses is released."""
