@@ -54,7 +54,7 @@ class Phases:
         self._rates: tuple[float, float] | None = None
         self._beside: Self | None = None
         self.walls = Walls(self.sum) if scene.walls else None
-        self._make_box(self.metal)
+        self._make_box(self._around(self.metal, 1))
         self.update_phase()
 
     def of_solids(self, values: list[float]) -> np.ndarray:
@@ -71,9 +71,8 @@ class Phases:
             for number in range(1, len(self.scene.solids) + 1)
         ]
 
-    def _make_box(self, metal: np.ndarray, reaches: int = 1) -> None:
-        """The part of the lattice within some reaches of metal (padded, bool)."""
-        window = self._around(metal, reaches)
+    def _make_box(self, window: tuple[slice, ...] | None) -> None:
+        """The box on a part of the lattice."""
         if window is None:
             self.box = None
             return
@@ -87,6 +86,7 @@ class Phases:
         )
 
     def _around(self, metal: np.ndarray, reaches: int) -> tuple[slice, ...] | None:
+        """The part of the lattice within some reaches of metal (padded, bool)."""
         reach = tuple(reaches * r for r in self.sum.reach)
         return box_in_reach(metal[self.sum.interior], reach, self.processes)
 
@@ -140,11 +140,12 @@ class Phases:
         box: if a stage empties one, what it exposes lies off the box.
         """
         if self._beside is None:
-            part, exposed = copy.copy(self), self.put(self.box_metal & (self.box_seen_liquid > 0))
-            part._make_box(exposed > 0, self.scene.dissolution.reaches)
-            near = self._around(exposed > 0, 1)
-            if part.box is None or near is None:
+            exposed = self.put(self.box_metal & (self.box_seen_liquid > 0)) > 0
+            near, wide = (self._around(exposed, n) for n in (1, self.scene.dissolution.reaches))
+            if near is None or wide is None:
                 return self
+            part = copy.copy(self)
+            part._make_box(_common(wide, self.window, self.sum.reach))
             part._update_box()
             far = np.ones(self.sum.padded_shape)
             far[self.sum.interior][near] = 0.0
@@ -184,3 +185,13 @@ class Phases:
             self.metal = self.metal & ~gone
             self.update_phase()
         return count
+
+
+def _common(
+    window: tuple[slice, ...], padded: tuple[slice, ...], reach: tuple[int, ...]
+) -> tuple[slice, ...]:
+    """What a part of the lattice has in common with one in places of padded arrays."""
+    return tuple(
+        slice(max(w.start, p.start - r), min(w.stop, p.stop - r))
+        for w, p, r in zip(window, padded, reach, strict=True)
+    )
