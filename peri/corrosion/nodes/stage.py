@@ -317,11 +317,12 @@ class StageSolver:
         """
         d, total = self.d, self.d.processes.total
         now = follows = total(float((d.free_volume * y).sum()))
+        before = total(float((d.free_volume * right.old).sum()))
         if exchange is not None:
             metal, alone = (exchange.metal_concentration(d.take(v)) for v in (y, np.zeros_like(y)))
             now += total(float((d.box_metal_volume * (metal + exchange.gained)).sum()))
             follows += total(float((d.box_metal_volume * (metal - alone)).sum()))
-        before = total(float((d.capacity * right.old)[d.free | d.metal].sum()))
+            before += total(float((d.box_metal_volume * exchange.old_metal).sum()))
         if right.pores is not None:
             stored = total(float((right.pores.volume * d.take(y)).sum()))
             now, follows = now + stored, follows + stored
