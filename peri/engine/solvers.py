@@ -37,7 +37,7 @@ class ConvergenceError(ArithmeticError):
 
 def _inverse_of(diagonal: np.ndarray) -> np.ndarray:
     """1 over a diagonal where it is positive, else 0."""
-    return np.where(diagonal > 0, 1.0 / np.where(diagonal > 0, diagonal, 1.0), 0.0)
+    return np.divide(1.0, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0)
 
 
 def _faces_of(window: tuple[slice, ...], face: np.ndarray, axis: int) -> np.ndarray:
