@@ -81,7 +81,7 @@ class Assembler:
             first, last, self._largest, stiffness, d.element.mean_dilatation,
             (d.cells, d.owned, self.alive, d.gradients, d.volumes, displacement),
             (g.cell_start, g.node_start, g.nodes, g.place),
-            (old.plastic, old.strain, old.damage),
+            (old.plastic, old.strain, old.damage, state.acting),
             (new.plastic, new.strain, new.damage, new.mises, new.pressure),
             (laws.parameters, laws.kinds, laws.starts, laws.hardening, laws.of_cell),
             (d.owned_nodes, d.row_start, g.pair_start, d.position, self.force, self.values),
@@ -137,7 +137,8 @@ def _assemble_groups(
                 weight = volumes[c, q] / ratio**3
                 ok, stress, plastic, strain, damage, energy, work, mises, pressure = update_point(
                     _scaled(deformation, c - start, q, ratio), _six(old[0], c, q), old[1][c, q],
-                    old[2][c, q], material, kind, hardening, stiffness, tangent, scratch,
+                    old[2][c, q], old[3][c, q], material, kind, hardening, stiffness, tangent,
+                    scratch,
                 )  # fmt: skip
                 for k in range(6):
                     new[0][c, q, k] = plastic[k]

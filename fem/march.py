@@ -6,8 +6,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-_UNEVEN = 3.0  # of increments next to the peak
 _EASY, _HARD = 5, 8  # Newton iterations below which increments grow, above which they shrink
+_GROWTH, _RETURN = 1.5, 3.0  # of increments at most; back to a size that failed
+_SHORTEST = 0.25  # of its size: what an increment is shortened to at once
+_TIMES = 3  # in a row that an increment is shortened
 
 
 @dataclass
@@ -30,6 +32,8 @@ class March:
     halvings: int = 0  # of the size, since the last accepted increment
     failures: int = 0  # the same, but since cells were last torn
     shrunk: float = 1.0  # share of the size that these failures have left
+    failed_size: float = 0.0  # that failed last, where increments have not got back to it
+    shortened: int = 0  # times that the increment was, since the last accepted one
 
     def accept(self, displacement: np.ndarray) -> None:
         """Stand at a new equilibrium, one increment further."""
@@ -37,16 +41,32 @@ class March:
         self.displacement = displacement
         self.strain += self.size
 
-    def choose_size(self, iterations: int, largest: float) -> None:
-        """Size of the next increment by the Newton iterations of the last one; forget failures."""
+    def choose_size(self, iterations: int, lag: float, largest: float) -> None:
+        """Size of the next increment by the last one's Newton iterations and lag; forget failures.
+
+        lag: over the one that is wanted; with f foreseen it grows with the square of the size.
+        """
+        factor = 1.0
         if iterations <= _EASY and self.halvings == 0:
-            self.size = min(1.5 * self.size, largest)
+            back = 2.0 * self.size < self.failed_size
+            factor = _RETURN if back else _GROWTH
         elif iterations > _HARD:
-            self.size *= 0.7
-        self.halvings, self.failures, self.shrunk = 0, 0, 1.0
+            factor = 0.7
+        if self.size >= self.failed_size:
+            self.failed_size = 0.0
+        self.size = min(self.size * min(factor, _by_lag(lag)), largest)
+        self.halvings, self.failures, self.shrunk, self.shortened = 0, 0, 1.0, 0
+
+    def shorten(self, lag: float) -> bool:
+        """Take the increment anew, shorter, by its lag over the one wanted; False: often enough."""
+        if self.shortened == _TIMES:
+            return False
+        self.size, self.shortened = self.size * _by_lag(lag), self.shortened + 1
+        return True
 
     def halve(self, share: float = 0.5) -> None:
         """Try anew with half or so of the size, from the second time on without `previous`."""
+        self.failed_size = max(self.failed_size, self.size)
         self.size, self.shrunk = share * self.size, share * self.shrunk
         self.halvings, self.failures = self.halvings + 1, self.failures + 1
         if self.halvings % 2 == 0:
@@ -58,24 +78,6 @@ class March:
         self.failures, self.shrunk, self.previous = 0, 1.0, None
 
 
-def peak_of_curve(elongation: np.ndarray, force: np.ndarray) -> tuple[float, float]:
-    """Elongation and force at the peak: the vertex of the parabola through the highest point.
-
-    The highest point itself is returned where it is the last one, or where one of its neighbours is
-    more than _UNEVEN times nearer than the other: a curve that breaks off has no parabola.
-    """
-    k = int(np.argmax(force))
-    if k == 0 or k == len(force) - 1:
-        return float(elongation[k]), float(force[k])
-    x, y = elongation[k - 1 : k + 2], force[k - 1 : k + 2]
-    before, after = np.diff(x)  # one of them is zero where the solid parted at its peak
-    if not (before > 0 < after and 1 / _UNEVEN <= after / before <= _UNEVEN):
-        return float(x[1]), float(y[1])
-    rise, fall = np.diff(y) / np.diff(x)
-    bend = (fall - rise) / (x[2] - x[0])
-    if not bend < 0:
-        return float(x[1]), float(y[1])
-    top = 0.5 * (x[0] + x[1]) - 0.5 * rise / bend
-    if not x[0] <= top <= x[2]:
-        return float(x[1]), float(y[1])
-    return float(top), float(y[0] + (rise + bend * (top - x[1])) * (top - x[0]))
+def _by_lag(lag: float) -> float:
+    """Factor of the size that makes the lag, of second order in it, the one wanted."""
+    return max(_SHORTEST, lag**-0.5) if lag > 0.0 else np.inf

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fem.constitutive.gurson import BULK, SHEAR
+from fem.constitutive.gurson import BULK, LIMIT, SHEAR
 from fem.constitutive.laws import Laws
-from fem.constitutive.material import identity_plastic, stiffness_left
+from fem.constitutive.material import identity_plastic, stiffness_left, strength_left
 
 
 @dataclass
@@ -20,6 +20,8 @@ class Fields:
     damage: np.ndarray  # (nl, nq) f
     mises: np.ndarray  # (nl, nq) equivalent Kirchhoff stress [Pa]
     pressure: np.ndarray  # (nl, nq) mean Kirchhoff stress [Pa]
+    acted: np.ndarray  # (nl, nq) f that strength and moduli had at the equilibrium
+    growth: np.ndarray  # (nl, nq) fall of ln(1 - f) in the last increment
 
     @classmethod
     def virgin(cls, damage: np.ndarray) -> Fields:
@@ -31,6 +33,8 @@ class Fields:
             damage.copy(),
             np.zeros(shape),
             np.zeros(shape),
+            damage.copy(),
+            np.zeros(shape),
         )
 
     def copy(self) -> Fields:
@@ -39,28 +43,61 @@ class Fields:
 
 
 class QuadratureState:
-    """Old (committed) and new (tried) fields; `commit` accepts the new ones."""
+    """Old (committed) and new (tried) fields; `commit` accepts the new ones.
+
+    acting (nl, nq): f that strength and moduli have in the increment that is tried: `old.damage`,
+    or what is foreseen of its end (`foresee`).
+    """
 
     def __init__(self, damage: np.ndarray) -> None:
         self.old = Fields.virgin(damage)
         self.new = self.old.copy()
+        self.acting = damage.copy()
+
+    def foresee(self, share: float, laws: Laws) -> None:
+        """Let that f act which the increment ends with if f grows on as in the last one.
+
+        share: size of the increment over that of the last one. At most half of the way to f_max is
+        foreseen, and no fall of f: where pores close, f follows within the increment.
+        """
+        damage = self.old.damage
+        grown = 1.0 - (1.0 - damage) * np.exp(-share * np.maximum(self.old.growth, 0.0))
+        halfway = 0.5 * (damage + laws.per_cell(LIMIT))
+        self.acting = np.maximum(damage, np.minimum(grown, halfway))
 
     def average_damage(self, weights: np.ndarray) -> None:
         """Give all points of a cell the mean of their new f; weights: (nq,) of the quadrature."""
         mean = self.new.damage @ (weights / weights.sum())
         self.new.damage[:] = mean[:, None]
 
+    def lagging_work(self, volumes: np.ndarray, laws: Laws) -> float:
+        """By how much the plastic work changes if the new f had acted [J]: amounts of all points.
+
+        Strength falls with f by 1 - q1 f; the flow is taken as it was.
+        volumes: (nl, nq) [m^3], zero where a point is another rank's.
+        """
+        old, new = self.old, self.new
+        opened = np.log((1.0 - old.damage) / (1.0 - new.damage))
+        flowed = np.sqrt(np.maximum((new.strain - old.strain) ** 2 - 2.0 / 9.0 * opened**2, 0.0))
+        work = new.mises * flowed + new.pressure * opened
+        acted = strength_left(self.acting, laws.parameters, laws.of_cell)
+        left = strength_left(new.damage, laws.parameters, laws.of_cell)
+        return float(abs(volumes * work * (1.0 - left / acted)).sum())
+
     def freed_energy(self, volumes: np.ndarray, laws: Laws) -> float:
-        """Elastic energy that the loss of stiffness from old to new f sets free [J].
+        """Elastic energy that the loss of stiffness, from the f acting before to now, frees [J].
 
         volumes: (nl, nq) [m^3], zero where a point is another rank's.
         """
-        before = stiffness_left(self.old.damage, laws.parameters, laws.of_cell)
-        after = stiffness_left(self.new.damage, laws.parameters, laws.of_cell)
-        stored = self.new.pressure**2 / (2.0 * laws.per_cell(BULK))
-        stored += self.new.mises**2 / (6.0 * laws.per_cell(SHEAR))
+        before = stiffness_left(self.old.acted, laws.parameters, laws.of_cell)
+        after = stiffness_left(self.acting, laws.parameters, laws.of_cell)
+        stored = self.old.pressure**2 / (2.0 * laws.per_cell(BULK))
+        stored += self.old.mises**2 / (6.0 * laws.per_cell(SHEAR))
         return float((volumes * stored / before * (1.0 - after / before)).sum())
 
     def commit(self) -> None:
         """Accept the tried state; the next assembly overwrites `new` completely."""
+        self.new.growth[:] = np.log((1.0 - self.old.damage) / (1.0 - self.new.damage))
+        self.new.acted[:] = self.acting
         self.old, self.new = self.new, self.old
+        self.acting = self.old.damage.copy()

@@ -27,7 +27,15 @@ from fem.quadrature import EDGES
 from fem.quadrature_state import Fields
 
 SCHEMA_VERSION = 1
-_SCALARS = ("previous_size", "strain", "size", "peak", "work", "dissipated")  # of March
+_SCALARS = (
+    "previous_size",
+    "strain",
+    "size",
+    "failed_size",
+    "peak",
+    "work",
+    "dissipated",
+)  # of March
 
 
 class CheckpointError(ValueError):
@@ -291,6 +299,7 @@ def restore(test: Any, path: str | Path) -> March:
     for name in Fields.__dataclass_fields__:
         getattr(test.state.old, name)[...] = fields[name][at]
         getattr(test.state.new, name)[...] = fields[name][at]
+    test.state.acting = test.state.old.damage.copy()
     test.assembler.alive[:] = fields["alive"][at]
     test.fix_unused()
     test.solver.reference = march.pop("reference")

@@ -32,6 +32,10 @@ class TensileSettings:
     grips hold their nodes fully whatever `grips.lateral` says, and the peak is that of torque or
     moment.
 
+    lag_tolerance: share of the reaction that it may be off because f, which is foreseen, lags behind
+    in an increment; it chooses the size of increments, of which `maximum_increment` is the largest.
+    inf: only the iterations of Newton's method do.
+
     element: "P1", "P1-Fbar", "P2" or "P2-Fbar". The test ends at `maximum_strain`, or, unless
     `full_curve`, once the force has fallen by the fraction `peak_drop` below its peak, or after
     `most_tried` increments, those without equilibrium included (None: `MORE_TRIED` and
@@ -54,6 +58,7 @@ class TensileSettings:
     first_increment: float = 0.002
     maximum_increment: float = 0.005
     minimum_increment: float = 1e-6
+    lag_tolerance: float = 0.0015
     most_tried: int | None = None
     peak_drop: float = 0.02
     full_curve: bool = False
@@ -74,6 +79,7 @@ class TensileSettings:
             ("first_increment", 0.0, 10.0),
             ("maximum_increment", 0.0, 10.0),
             ("minimum_increment", 0.0, 10.0),
+            ("lag_tolerance", 0.0, np.inf),
             ("peak_drop", 0.0, 1.0),
             ("tolerance", 0.0, 0.1),
         ):

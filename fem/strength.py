@@ -3,7 +3,7 @@
 Axial displacement is prescribed on both grips (5.4 of the dissertation: zero at one end, growing to
 10 % of the length at the other), quasi-static, in adaptive increments; torsion and bending are
 options (`fem.loading`). Departure from the source: implicit equilibrium instead of an explicit
-code; f grows between the increments, one per cell; cells at f_max are removed instead of kept.
+code; f is foreseen before an increment, one per cell; cells at f_max are removed instead of kept.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import logging
 import os
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 from mpi4py import MPI
@@ -24,9 +23,10 @@ from fem.constitutive.laws import Laws
 from fem.constitutive.material import Material
 from fem.damage_length import DamageLength
 from fem.discretisation import build
-from fem.loading import Load, MovingGrip
-from fem.march import March, peak_of_curve
+from fem.loading import MovingGrip
+from fem.march import March
 from fem.newton import INVERTED_PREDICTION, Equilibrium, EquilibriumSolver
+from fem.outcome import TensileResult, peak_of_curve
 from fem.preparation import prepare
 from fem.quadrature import Element, find_element
 from fem.quadrature_state import QuadratureState
@@ -40,54 +40,9 @@ log = logging.getLogger(__name__)
 
 _FAILURES = 4  # in a row, after which cells are taken as torn or Newton goes on for longer
 _AFTER_REMOVAL = 1 / 64  # of the size: with cells gone there is a jump to settle, whatever it is
+_LAGS = 4.0  # times the lag wanted: what an increment may have
+_WELL_PAST = 0.25  # of the drop that ends a test: from there on the peak is known
 _KNOWN = 1e-3  # of the reaction: what it may be off past the peak (`Equilibrium.unbalanced`)
-
-
-@dataclass
-class TensileResult:
-    """Outcome of a test, the same on every rank.
-
-    The curve is motion against reaction: elongation [m] and force [N] of an axial test, angle [rad]
-    and torque or moment [N m] otherwise; `history` has both under these names, and the properties
-    of that name raise AttributeError for another load. Nominal strain is motion over `extent`.
-    status: "past_peak" (the reaction fell by `peak_drop`, perhaps in an increment that found no
-    equilibrium and is not on the curve: `Equilibrium.unbalanced`), "completed" (to the full
-    strain), "severed", "fully_corroded" (no test was possible: force 0), or "stopped: ..." with the
-    reason why the curve ends early. history: one array per quantity, one entry per point of the
-    curve.
-    """
-
-    motion: np.ndarray  # [m or rad]
-    reaction: np.ndarray  # [N or N m]
-    load: Load
-    length: float  # between the grips [m]
-    peak_reaction: float  # [N or N m]
-    motion_at_peak: float  # [m or rad]
-    status: str
-    cells: int = 0
-    dead_cells: int = 0  # removed before the test: f at its limit at every point
-    loose_cells: int = 0  # removed before the test: not joined to both grips
-    loose_pieces: int = 0
-    lost_cells: int = 0  # removed during the test
-    torn_cells: int = 0  # of these, taken as torn so that the test could go on (`fem.tearing`)
-    history: dict[str, np.ndarray] = field(default_factory=dict)
-    cost: dict[str, float] = field(default_factory=dict)
-    displacement: np.ndarray | None = None  # (n, 3) of the input's vertices at the end [m], rank 0
-
-    def __getattr__(self, name: str) -> np.ndarray | float:
-        """The curve and its peak by the names that they have for this load."""
-        if name.startswith("_") or "load" not in vars(self):
-            raise AttributeError(name)
-        motion, reaction = self.load.motion, self.load.reaction
-        names = {
-            motion: self.motion,
-            reaction: self.reaction,
-            f"{motion}_at_peak": self.motion_at_peak,
-            f"peak_{reaction}": self.peak_reaction,
-        }
-        if name not in names:
-            raise AttributeError(f"the result has no {name}; this test has {motion} and {reaction}")
-        return names[name]
 
 
 Progress = Callable[[float, str], None]
@@ -249,7 +204,14 @@ class _Test:
                     status = f"stopped: {outcome.reason} at strain {march.strain:.5f}"
                     break
                 continue
-            self._accept(march, outcome, tried)
+            self._grow()
+            lag = self._lag(march, outcome)
+            excess = lag / self._wanted_lag(march, outcome)
+            # with cells gone there is a jump to settle, whatever the size
+            settled = self.lost_cells == march.rows[-1]["lost_cells"]
+            if settled and excess > _LAGS and march.shorten(excess):
+                continue
+            self._accept(march, outcome, tried, lag, excess)
             self._report(march, progress)
             # the next prediction still holds: cells at the limit carried hardly anything
             removed = self._remove((self.state.old.damage >= self.limit).all(axis=1))
@@ -286,16 +248,23 @@ class _Test:
         march.rows.append(self._row(march, Equilibrium(True, 0, 0.0, 0.0, 0.0)))
         return march
 
-    def _accept(self, march: March, outcome: Equilibrium, tried: np.ndarray) -> None:
-        """Go on from an equilibrium: state, energies, history, size of the next increment."""
+    def _accept(
+        self, march: March, outcome: Equilibrium, tried: np.ndarray, lag: float, excess: float
+    ) -> None:
+        """Go on from an equilibrium: state, energies, history, size of the next increment.
+
+        lag: see `_lag`; excess: what it is of the lag wanted.
+        """
         last = march.rows[-1][self.load.reaction]
         march.work += 0.5 * (last + outcome.reaction) * march.size * self.load.extent
         march.accept(tried)
-        march.dissipated += self._advance()
+        volumes = self.discretisation.volumes * self.discretisation.owned[:, None]
+        march.dissipated += self.comm.allreduce(self.state.freed_energy(volumes, self.laws))
         march.dissipated += outcome.dissipated
+        self.state.commit()
         march.peak = max(march.peak, outcome.reaction)
-        march.rows.append(self._row(march, outcome))
-        march.choose_size(outcome.iterations, self.settings.maximum_increment)
+        march.rows.append(self._row(march, outcome, lag))
+        march.choose_size(outcome.iterations, excess, self.settings.maximum_increment)
         self.solver.maximum_iterations = self.settings.maximum_iterations
 
     def _report(self, march: March, progress: Progress | None) -> None:
@@ -333,16 +302,30 @@ class _Test:
         self.solver.maximum_iterations = 2 * self.settings.maximum_iterations
         return False
 
-    def _advance(self) -> float:
-        """Accept the tried state; returns the elastic energy that the growth of f sets free [J]."""
-        d, state = self.discretisation, self.state
+    def _grow(self) -> None:
+        """Take the growth of f that the tried increment ends with, averaged as the settings say."""
         if self.settings.damage == "cell":
-            state.average_damage(d.element.weights)
+            self.state.average_damage(self.discretisation.element.weights)
         if self.settings.damage_length > 0.0:
             self._spread_damage()
-        freed = state.freed_energy(d.volumes * d.owned[:, None], self.laws)
-        state.commit()
-        return float(self.comm.allreduce(freed))
+
+    def _lag(self, march: March, outcome: Equilibrium) -> float:
+        """Share by which the reaction is off, as another f acted than that of the end.
+
+        What the plastic flow does more (`lagging_work`), the grips' motion does.
+        """
+        d = self.discretisation
+        if self.settings.damage == "implicit" or not outcome.reaction > 0.0:
+            return 0.0
+        mine = d.volumes * (d.owned & self.assembler.alive)[:, None]
+        work = float(self.comm.allreduce(self.state.lagging_work(mine, self.laws)))
+        return work / (outcome.reaction * march.size * self.load.extent)
+
+    def _wanted_lag(self, march: March, outcome: Equilibrium) -> float:
+        """How much f may lag: as the settings say; on the way down from the peak more."""
+        s = self.settings
+        past = outcome.reaction < (1.0 - _WELL_PAST * s.peak_drop) * march.peak
+        return s.lag_tolerance * (_LAGS if past and not s.full_curve else 1.0)
 
     def _spread_damage(self) -> None:
         """Average the growth of f over the damage length; solved on rank 0, which has the mesh."""
@@ -369,6 +352,8 @@ class _Test:
 
     def _increment(self, march: March) -> tuple[Equilibrium, np.ndarray]:
         """Predict and solve the next increment; returns the outcome and the displacement."""
+        if self.settings.damage != "implicit" and march.previous_size > 0.0:
+            self.state.foresee(march.size / march.previous_size, self.laws)
         change = march.size * self.load.extent
         amount = (march.strain + march.size) * self.load.extent
         if march.previous is not None:
@@ -388,7 +373,7 @@ class _Test:
                 break
         return outcome, tried
 
-    def _row(self, march: March, outcome: Equilibrium) -> dict[str, float]:
+    def _row(self, march: March, outcome: Equilibrium, lag: float = 0.0) -> dict[str, float]:
         """A point of the curve for the history."""
         damage, strain = self.state.old.damage, self.state.old.strain
         largest = float(damage.max()) if damage.size else 0.0
@@ -398,6 +383,7 @@ class _Test:
             self.load.reaction: outcome.reaction,
             "iterations": outcome.iterations,
             "halvings": march.halvings,
+            "lag": lag,
             "work": march.work,
             "stored": outcome.stored,
             "dissipated": march.dissipated,

@@ -84,6 +84,21 @@ def _sinh(x):
 
 
 @kernel
+def grown(damage: float, volume: float, before: float, after: float, material: np.ndarray) -> float:
+    """f of (5.42) after a plastic volume strain, nucleation between two plastic strains included.
+
+    Not yet held within 0 and f_max.
+    """
+    f = damage + (damage - 1.0) * np.expm1(-volume)
+    if material[NUCLEATED] > 0.0:
+        width = material[NUCLEATION_DEVIATION] * np.sqrt(2.0)
+        old = (before - material[NUCLEATION_MEAN]) / width
+        new = (after - material[NUCLEATION_MEAN]) / width
+        f += 0.5 * material[NUCLEATED] * (erf(new) - erf(old))
+    return f
+
+
+@kernel
 def _system(a, beta, volume, mises, jacobian, strain, damage, material, kind, hardening):
     """Residuals, their derivatives by (a, beta, volume, mises), new plastic strain and f."""
     q1, q2, q3 = material[Q1], material[Q2], material[Q3]
@@ -102,14 +117,11 @@ def _system(a, beta, volume, mises, jacobian, strain, damage, material, kind, ha
     # s_x: logarithmic derivatives of the flow stress S
     s_a, s_b, s_q = slope * per_flow * e_a, slope * per_flow * e_b, slope * per_flow * e_q
 
-    shrink = np.expm1(-a)
-    remaining = (1.0 - damage) * (1.0 + shrink)
-    f, f_a, f_b, f_q = damage + (damage - 1.0) * shrink, remaining, 0.0, 0.0
+    f = grown(damage, a, strain, strain + step, material)
+    f_a, f_b, f_q = (1.0 - damage) * np.exp(-a), 0.0, 0.0
     if material[NUCLEATED] > 0.0:
         width = material[NUCLEATION_DEVIATION] * np.sqrt(2.0)
-        old = (strain - material[NUCLEATION_MEAN]) / width
         new = (strain + step - material[NUCLEATION_MEAN]) / width
-        f += 0.5 * material[NUCLEATED] * (erf(new) - erf(old))
         rate = material[NUCLEATED] * np.exp(-new * new) / (width * np.sqrt(np.pi))
         f_a, f_b, f_q = f_a + rate * e_a, rate * e_b, rate * e_q
     if f >= material[LIMIT]:

@@ -29,6 +29,7 @@ from fem.constitutive.gurson import (
     STIFFENING,
     STIFFNESS_LOSS,
     effective_damage,
+    grown,
     return_map,
 )
 from fem.constitutive.hardening import Hardening, VoceHardening, flow_stress
@@ -180,13 +181,15 @@ def stiffness_left(damage: np.ndarray, parameters: np.ndarray, of_cell: np.ndarr
 
 @kernel
 def update_point(
-    gradient, plastic_old, strain, damage, material, kind, hardening, need_tangent, tangent, scratch
-):
+    gradient, plastic_old, strain, damage, acting, material, kind, hardening, need_tangent, tangent,
+    scratch,
+):  # fmt: skip
     """Update one quadrature point.
 
     gradient: F, nine numbers; plastic_old: Cp^-1, six, at the start of the step; strain, damage:
-    plastic strain and f there. When asked, fills `tangent` (6, 6): that of the corotational rate,
-    see `hencky.spatial_tangent`. `scratch` is (13, 6).
+    plastic strain and f there; acting: f that strength and moduli have during the step. When asked,
+    fills `tangent` (6, 6): that of the corotational rate, see `hencky.spatial_tangent`.
+    `scratch` is (13, 6).
 
     Returns (ok, stress, Cp^-1, plastic strain, f, stored energy, dissipated energy, mises, mean
     stress) with Kirchhoff stresses, six numbers for tensors, and energies per reference volume; ok
@@ -206,14 +209,17 @@ def update_point(
     volume = e0 + e1 + e2
     e0, e1, e2 = e0 - volume / 3.0, e1 - volume / 3.0, e2 - volume / 3.0  # deviator from here on
     mises = shear * np.sqrt(6.0 * (e0 * e0 + e1 * e1 + e2 * e2))
-    keep = _stiffness_left(damage, material)
-    if damage >= material[LIMIT]:
+    keep = _stiffness_left(acting, material)
+    if acting >= material[LIMIT]:
         a_pl, beta, new_strain, new_damage, flow = 0.0, 1.0, strain, damage, 1.0
         a_v = b_v = a_q = b_q = 0.0
     else:  # the return depends on the ratio of flow stress and moduli only
         a_pl, beta, new_strain, new_damage, flow, a_v, b_v, a_q, b_q = return_map(
-            volume, mises, jacobian / keep, strain, damage, material, kind, hardening
+            volume, mises, jacobian / keep, strain, acting, material, kind, hardening
         )
+        if acting != damage:
+            new_damage = grown(damage, a_pl, strain, new_strain, material)
+            new_damage = min(max(new_damage, 0.0), material[LIMIT])
     pressure = bulk * (volume - a_pl)
     mean, scale = keep * pressure, 2.0 * keep * shear * beta
     principal_stress = (mean + scale * e0, mean + scale * e1, mean + scale * e2)
@@ -280,7 +286,8 @@ def update_points(
         ok, stress, plastic, new_strains[i], new_damages[i], _, _, _, _ = update_point(
             (f[0], f[1], f[2], f[3], f[4], f[5], f[6], f[7], f[8]),
             (p[0], p[1], p[2], p[3], p[4], p[5]),
-            strains[i], damages[i], material, kind, hardening, True, tangents[i], scratch,
+            strains[i], damages[i], damages[i], material, kind, hardening, True, tangents[i],
+            scratch,
         )  # fmt: skip
         for k in range(6):
             stresses[i, k], plastic_new[i, k] = stress[k], plastic[k]

@@ -96,6 +96,21 @@ def checks(run: RunResults) -> list[dict[str, str]]:
             "5 % of their strength, or to five times, where no increment found equilibrium",
             "torn_cells of tensile.json, each test",
         )
+    lags = [
+        (float(i.tensile["lag_at_peak"]), _case(run, a, i))
+        for a in everything
+        for i in a.immersions
+        if "lag_at_peak" in i.tensile
+    ]
+    if lags:
+        worst, case = max(lags)
+        add(
+            f"Largest {LOADS[run.scene.tensile.load].reaction}, by its increments",
+            percent(worst, 2),
+            f"most at a peak, {case}: what f of the increment before it makes there; within a "
+            "factor of three it is the difference to ever smaller increments",
+            "lag_at_peak of tensile.json, each test",
+        )
     gaps = [(_energy_gap(i), _case(run, a, i)) for a in everything for i in a.immersions]
     known = [pair for pair in gaps if pair[0] is not None]
     if known:

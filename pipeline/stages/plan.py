@@ -490,8 +490,9 @@ def _tensile_departures(scene: Scene) -> list[LeftOut]:
         found.append(
             LeftOut(
                 "growth of f within an increment",
-                f"f is one per {each} and grows between increments (within: --damage implicit)",
-                "part of the error of the increment (perilife study tensile)",
+                f"f is one per {each}; in an increment that acts which it ends with if it grows on "
+                "as in the last one (within: --damage implicit)",
+                "0.15 % of the force or shorter increments (lag_at_peak of tensile.json)",
             )
         )
     return found

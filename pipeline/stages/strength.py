@@ -36,8 +36,7 @@ SERIES_EVERY = 4
 
 FIRST_INCREMENT, FIRST_INCREMENT_FACES = 0.002, 0.0002
 """Strain of the first increment, and that where an end face is pulled, whose outermost layer gives
-way at 0.1 to 0.5 %: there 0.002 puts the peak 11 % higher after 24 weeks (Mg-10Gd) and takes as
-long (pipeline/MEASURED.md)."""
+way at 0.1 to 0.5 %. The next ones follow what f lags (`fem.settings.TensileSettings`)."""
 
 _ORDER = ("force", "torque", "moment", "iterations", "halvings", "work", "stored", "dissipated")
 
@@ -218,6 +217,7 @@ def _write_result(out: Path, result: object, load: str, seconds: float) -> None:
             names.strain_at_peak: float(result.motion_at_peak / result.load.extent),
             **turned,
             "status": result.status,
+            "lag_at_peak": float(result.lag_at_peak),
             "length": float(result.length),
             "increments": len(strain) - 1,
             "processor_seconds": seconds,
