@@ -32,9 +32,9 @@ class TensileSettings:
     grips hold their nodes fully whatever `grips.lateral` says, and the peak is that of torque or
     moment.
 
-    lag_tolerance: share of the reaction that it may be off because f, which is foreseen, lags behind
-    in an increment; it chooses the size of increments, of which `maximum_increment` is the largest.
-    inf: only the iterations of Newton's method do.
+    lag_tolerance: share of the reaction that it may be off because f, which is foreseen, lags in an
+    increment (`fem.strength`); increments follow it, `maximum_increment` is the largest. inf: only
+    the iterations of Newton's method count.
 
     element: "P1", "P1-Fbar", "P2" or "P2-Fbar". The test ends at `maximum_strain`, or, unless
     `full_curve`, once the force has fallen by the fraction `peak_drop` below its peak, or after
@@ -47,7 +47,7 @@ class TensileSettings:
     linear_solver: "auto", or what is tried first (`fem.solvers`): "pmg" (two-level multigrid of the
     ten-node elements, the default for them), "mumps" (factorisation), "gamg" (aggregation).
 
-    damage: how f grows: "cell" (one f per cell, updated between increments), "point" (one per
+    damage: how f grows: "cell" (one f per cell, foreseen before each increment), "point" (one per
     quadrature point, likewise) or "implicit" (per point and within the increment, as published;
     where corroded metal tears, tests hardly ever get to their peak with it). damage_length [m]: the
     growth of f is averaged over it (`fem.damage_length`; only with "cell"); 0 does not average.

@@ -29,7 +29,8 @@ def check(run, bar, ranks, jobs, solver="mumps", bars=BARS):
     reaction = one[f"{alone}/reaction"]
     assert reaction.max() > (100 if bar.startswith("axial") else 0.02)
     assert one[f"{alone}/dead"] > 0
-    np.testing.assert_array_equal(other[f"{name}/motion"], one[f"{alone}/motion"])
+    # sizes of increments follow what f lags
+    np.testing.assert_allclose(other[f"{name}/motion"], one[f"{alone}/motion"], rtol=1e-6)
     # Newton tolerance 1e-8 of the reaction: measured 3e-14 (2 ranks), 7e-14 (4 ranks), 3e-11
     # (pmg) and 1e-8 (gamg), whose solutions are as accurate as Newton asks; turned: 4e-14
     # (2 ranks) and 1e-9 (gamg); two materials: 2e-13

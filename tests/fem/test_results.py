@@ -15,7 +15,8 @@ from tests.ranks import run_on_ranks
 
 def check(resumed, whole, rtol):
     """The same curve, counts and displacements."""
-    np.testing.assert_array_equal(resumed["elongation"], whole.history["elongation"])
+    # sizes follow what f lags: measured 2e-11 on other ranks
+    np.testing.assert_allclose(resumed["elongation"], whole.history["elongation"], rtol=1e-9)
     np.testing.assert_array_equal(resumed["lost_cells"], whole.history["lost_cells"])
     for name in ("force", "work", "dissipated", "largest_plastic_strain", "largest_damage"):
         np.testing.assert_allclose(resumed[name], whole.history[name], rtol=rtol, atol=1e-12)

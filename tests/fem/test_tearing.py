@@ -86,7 +86,8 @@ def test_a_test_that_would_stop_goes_on_without_its_shreds(monkeypatch, tmp_path
     whole = tensile_test(points, cells, f0, MAGNESIUM, settings)
     assert whole.status == "past_peak" and whole.torn_cells == 0
 
-    hasty = replace(settings, maximum_iterations=2)
+    # with increments that follow what f lags hardly any fails
+    hasty = replace(settings, maximum_iterations=2, lag_tolerance=np.inf)
     monkeypatch.setattr(module, "_FAILURES", 1)
     monkeypatch.setattr("fem.tearing.STRETCH", 1.02)
     path = tmp_path / "test.h5"
@@ -141,18 +142,21 @@ def test_past_the_peak_a_test_goes_on_and_ends_by_reactions_that_are_known(monke
     """Newton never ends beyond the peak of a waisted bar: only its unbalanced forces say so."""
     points, cells = round_bar(2, 4, 1e-3, 4e-3, waist=0.3)
     f0 = np.random.default_rng(2).uniform(0.0, 0.6, len(cells))
-    settings = TensileSettings(maximum_strain=0.1, maximum_increment=0.01, peak_drop=0.05)
+    settings = TensileSettings(
+        maximum_strain=0.1, maximum_increment=0.01, peak_drop=0.05, lag_tolerance=np.inf
+    )
     whole = tensile_test(points, cells, f0, MAGNESIUM, settings)
     at = int(np.argmax(whole.force))
     assert whole.status == "past_peak" and at < len(whole.force) - 3
     assert 0.925 < whole.force[-1] / whole.peak_force < 0.94
     solve = module.EquilibriumSolver.solve
     # the reaction is off by a two thousandth: each increment will do; by a two hundredth: the last
-    # one is known to be too low; by three hundredths: nothing is known
+    # one is known to be too low; by three hundredths: nothing is known, and halved increments,
+    # in which f grows by less, get nearer to where that is
     for off, beyond, expected, points_on_curve in (
         (0.0005, 1.0, "past_peak", len(whole.force)),
         (0.005, 0.95, "past_peak", len(whole.force) - 1),
-        (0.03, 0.95, "stopped: stuck", len(whole.force) - 1),
+        (0.03, 0.95, "stopped: stuck", len(whole.force) + 1),
     ):
 
         def stuck(self, guess, amount, off=off, beyond=beyond):
