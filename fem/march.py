@@ -32,7 +32,7 @@ class March:
     halvings: int = 0  # of the size, since the last accepted increment
     failures: int = 0  # the same, but since cells were last torn
     shrunk: float = 1.0  # share of the size that these failures have left
-    failed_size: float = 0.0  # that failed last, where increments have not got back to it
+    failed_size: float = 0.0  # before it was cut to settle a jump, until it is reached again
     shortened: int = 0  # times that the increment was, since the last accepted one
 
     def accept(self, displacement: np.ndarray) -> None:
@@ -66,7 +66,8 @@ class March:
 
     def halve(self, share: float = 0.5) -> None:
         """Try anew with half or so of the size, from the second time on without `previous`."""
-        self.failed_size = max(self.failed_size, self.size)
+        if share < 0.5:
+            self.failed_size = self.size
         self.size, self.shrunk = share * self.size, share * self.shrunk
         self.halvings, self.failures = self.halvings + 1, self.failures + 1
         if self.halvings % 2 == 0:
