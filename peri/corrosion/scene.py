@@ -28,6 +28,7 @@ from peri.engine.lattice import Lattice
 if TYPE_CHECKING:
     from peri.engine.surface.flat_front import FlatFront
     from peri.engine.surface.rate_classes import CellExposure
+    from peri.engine.surface.share_weights import ShareBonds
 
 
 @dataclass(frozen=True)
@@ -322,11 +323,11 @@ class CorrosionScene:
         """Bond weights of unit diffusivity."""
         return self._stencil
 
-    def cut_cell_stencil(self, front: FlatFront) -> Stencil:
-        """Bond weights between the shares of cells that a moving surface cuts, 1/m^2."""
-        from peri.engine.surface.share_weights import share_stencil  # loads scipy.optimize
+    def cut_cell_bonds(self, front: FlatFront) -> ShareBonds:
+        """Bonds between the shares of cells that a moving surface cuts, 1/m^2."""
+        from peri.engine.surface.share_weights import share_bonds  # loads scipy.optimize
 
-        return share_stencil(self.stencil, front)
+        return share_bonds(self.stencil, front)
 
     def nearest_stencil(self) -> Stencil:
         """Weights 1 of the next cells along each axis, on an octant like the stencil's."""

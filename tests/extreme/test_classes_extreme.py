@@ -1,5 +1,7 @@
 """Rate classes at their limits: what is thinner than a cell, stiff, tiny, or gone to the end."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -53,6 +55,8 @@ CASES = {
     "two surfaces in a cell": (TWO, {}),
     "five classes": (BLOCK, {"classes": 5}),
     "one class": (BLOCK, {"classes": 1}),
+    # the last cell was asked for all that cells around it had handed on, and lasted
+    "five classes, three spacings": (BLOCK, {"classes": 5, "spacing": 1 / 3, "n": 13}),
     "horizon of one spacing": (BLOCK, {"horizon": 0.5}),
     "interface without end": (BLOCK, {"dissolution_flux": 1e9}),
     "closed and slow": (BLOCK, {"boundary": "no_flux", "liquid_diffusivity": 1e-3}),
@@ -152,10 +156,12 @@ def test_closed_vessels_that_saturate_end(seed):
 
 
 @pytest.mark.slow
-def test_random_scenes_with_random_classes():
+@pytest.mark.parametrize("horizon", [1.0, 1.5])
+def test_random_scenes_with_random_classes(horizon):
     ended, moved = 0, 0
     for seed in range(40):
         scene, end = random_scene(seed)
+        scene = replace(scene, horizon=horizon)
         try:
             found = corrode(scene, [0.1 * end, end], TimeStepping(rate_change=0.3))
         except ValueError as error:

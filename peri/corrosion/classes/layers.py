@@ -23,7 +23,7 @@ from peri.engine.influence import (
 from peri.engine.lattice import Lattice
 from peri.engine.surface.flat_front import FlatFront
 from peri.engine.surface.rate_classes import CLASSES, CellExposure, RateClasses, gauss_rule
-from peri.engine.surface.share_weights import share_stencil
+from peri.engine.surface.share_weights import ShareBonds, share_bonds
 
 _SLICES = 1000
 """Of a cell, each with its volume and mean exposure."""
@@ -52,9 +52,11 @@ class LayeredScene(CorrosionScene):
     def _make_stencil(self) -> Stencil:
         return self._summed(self._full())
 
-    def cut_cell_stencil(self, front: FlatFront) -> Stencil:
-        """See CorrosionScene.cut_cell_stencil."""
-        return self._summed(share_stencil(self._full(), front))
+    def cut_cell_bonds(self, front: FlatFront) -> ShareBonds:
+        """See CorrosionScene.cut_cell_bonds."""
+        full = share_bonds(self._full(), front)
+        weights, drawing = self._summed(full.weights), self._summed(full.drawing)
+        return ShareBonds(weights, drawing, full.handed)
 
     def nearest_stencil(self) -> Stencil:
         """See CorrosionScene.nearest_stencil."""
@@ -73,7 +75,7 @@ class LayeredScene(CorrosionScene):
         where = np.argwhere(weights != 0)
         along = (where - np.array(bonds.reach))[:, :2] @ np.array(self.normal)
         most = int(np.abs(self.normal) @ np.array(bonds.reach[:2])) + 1
-        sums = np.bincount(np.abs(along), weights[tuple(where.T)], most)
+        sums = np.bincount(np.abs(along), weights[tuple(where.T)], most).astype(float)
         sums[1:] *= 0.5
         return Stencil(sums.reshape(-1, 1, 1), bonds.spacing)
 

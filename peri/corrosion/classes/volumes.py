@@ -14,14 +14,19 @@ liquid's mean, moved towards its middle's value: `at_middles`).  M is one number
 symmetric, conserves the amount and keeps 0 <= C_j <= C_sat.  In clean liquid a class obeys
 C' = -k G_ip C, whatever the lattice.
 
-Where the surface moves (columns.py has how the classes of a cell go).  The cell's mean rate
-follows from the shares of metal f and liquid alone, by weights made for cut cells (share_weights):
+Where the surface moves (columns.py has how the classes of a cell go).  The cell's flux X_i
+follows from the shares of metal and liquid alone (share_flux.py).  At first it is the surface's
+exact one; what that differs by, d_i, is forgotten as the cell sees more liquid and with the share
+v_i that is left of its metal:
 
-    G_i(t) = E_i(t) + kept_i (G_i(0) - E_i(0)),    E_i = sum_j k_ij (1 - f_j),
-    kept_i = min(1, max(0, 2 - E_i(t)/E_i(0))).
+    X_i(t) + s_i d_i + handed_i,     s_i = v_i min(1, max(0, 2 - E_i(t)/E_i(0))),
 
-At first it is the surface's exact one; that is forgotten as the cell sees more liquid.  There is no
-memory but the volumes, so nothing drifts; edges, walls and fronts that meet are the sum's affair.
+E_i = sum_j k_ij (1 - f_j).  d is mostly what one layer of cells has too much and the next too
+little, so that a front gains or loses by forgetting the one before the other.  From three spacings
+per horizon on (ShareBonds.handed) d is parted into its mean over the horizon, which is forgotten,
+and the rest, which adds up to nothing: what is forgotten of that is handed to the metal around in
+proportion to its flux.  There is no memory but the volumes, so nothing drifts; edges, walls and
+fronts that meet are the sum's affair.
 """
 
 from __future__ import annotations
@@ -31,6 +36,7 @@ from numpy.typing import NDArray
 
 from peri.corrosion.blocks import block_scene
 from peri.corrosion.classes.columns import Columns
+from peri.corrosion.classes.share_flux import ShareFlux
 from peri.corrosion.kinetics import Exposed
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.influence import closed_constant, closed_strength
@@ -46,6 +52,11 @@ _THINNEST = 1e-18
 _EMPTIED = 1e-6
 """Of C_solid: a class that holds less is empty, where metal ends empty.  Saturation factors, known
 to 1e-9 of the metal, leave such rests, which are no metal."""
+_NOTHING = 1e-12
+"""Of the largest rate: cells that see less flux around hand nothing on."""
+_HANDED = 0.5
+"""Most that a cell's flux may change by what is handed to it.  All that is missing around the last
+cell of a body would be taken from it, which then lasts."""
 _BALANCING_ROUNDS = 8
 """Of mu and nu by turns; more change V_L by less than 1e-4 (the metal's condition is exact)."""
 _TO_MIDDLE = 0.7
@@ -70,7 +81,8 @@ class Volumes:
 
     columns : the classes in their order.  cell : (n,) each class's cell in the flattened padded
     lattice; place : (r,) each column's.  volume : (n,) relative, what is metal of a class.
-    bond_sum : (n,) G, 1/m^2.  age : (n,) s since a class first saw liquid, set before a stage.
+    bond_sum : (n,) G, 1/m^2.  own : (n,) of it, what other cells do not carry as soon as the class
+    is gone (what it draws, they do).  age : (n,) s since it first saw liquid, set before a stage.
     share : padded, c.  ends, gone : mol/m^3, what metal holds where it ends, and a class that is
     counted as gone.
     """
@@ -105,7 +117,7 @@ class Volumes:
         self.near = NonlocalSum(scene.stencil, lattice.shape, rows, processes=processes)
         self._next = NonlocalSum(scene.nearest_stencil(), lattice.shape, rows, processes=processes)
         self.liquid_bond_sum = self.at_middles(self.liquid_bond_sum)
-        self._front_sum: NonlocalSum | None = None
+        self._shares: ShareFlux | None = None
         self.cells_of_metal = processes.total(float(self.initial_volume.sum()))
         solid, self.ends = scene.solid_concentration, scene.dissolution.liquid_below(scene)
         # What a class holds when it is gone: no more than its cell's liquid may.
@@ -148,11 +160,11 @@ class Volumes:
         self.free = self.free_share > 0
         self.share = self.free_share + self.held_share
         self.neighbour_share = self.sum(self.share)
-        self.bond_sum = self.initial_bond_sum
+        self.bond_sum = self.own = self.initial_bond_sum
         wanted = self.share * self.liquid_bond_sum
         if self.processes.any(grown.any()):
             now = self._seen_metal(self.ahead)
-            self.bond_sum = self._moved(volume, now)
+            self.bond_sum, self.own = self._moved(volume, now)
             # Liquid sees less metal as that goes; new liquid what the shares say.
             new = np.divide(grown, self.share, out=np.zeros_like(grown), where=self.share > 0)
             left = np.divide(now, self._at_first, out=np.zeros_like(now), where=self._at_first > 0)
@@ -170,38 +182,60 @@ class Volumes:
         differences = near(share * seen) - near(share) * seen
         return np.maximum(seen - _TO_MIDDLE / 24.0 * differences, 0.0)
 
+    def _by_shares(self) -> ShareFlux:
+        """The flux by shares; at first also what that of the first surface differs by."""
+        if self._shares is None:
+            front = self.columns.front
+            self._shares = shares = ShareFlux(self.scene, front, self._reached(), self.processes)
+            metal = self.scatter(self.initial_volume)
+            self._at_first = shares.seen(metal)
+            flux = metal * np.maximum(shares.total - self._at_first, 0.0) + shares.drawn(metal)
+            exact = self.scatter(self.initial_volume * self.initial_bond_sum)
+            self._missed, self._first_flux = exact - flux, np.maximum(flux, exact)
+            self._uneven = shares.handed * (
+                self._missed - self._spread(self._missed, self._first_flux)
+            )
+        return self._shares
+
     def _seen_metal(self, volume: Array) -> Array:
         """sum_j k_ij f_j by weights for cut cells, 1/m^2, padded."""
-        if self._front_sum is None:
-            weights = self.scene.cut_cell_stencil(self.columns.front)
-            rows = self._reached()
-            shape = self.scene.lattice.shape
-            self._front_sum = NonlocalSum(weights, shape, rows, processes=self.processes)
-            self._at_first = self._front_sum(self.scatter(self.initial_volume))
-        return self._front_sum(self.scatter(volume))
+        return self._by_shares().seen(self.scatter(volume))
+
+    def _spread(self, amount: Array, flux: Array) -> Array:
+        """Amounts of cells (padded), handed to those around in proportion to their flux."""
+        around = self.near(flux)
+        there = around > _NOTHING * self._by_shares().total
+        each = np.divide(amount, around, out=np.zeros_like(amount), where=there)
+        return flux * self.near(each)
 
     def moved(self, volume: Array) -> Array:
         """G (n,) of the classes once only `volume` (n,) of them is metal, 1/m^2; nothing is set."""
-        return self._moved(volume, self._seen_metal(volume))
+        return self._moved(volume, self._seen_metal(volume))[0]
 
-    def _moved(self, volume: Array, seen_metal: Array) -> Array:
-        """G of the classes where the surface has moved."""
-        columns, front = self.columns, self.columns.front
-        assert self._front_sum is not None
-        total = self._front_sum.stencil.total
-        whole = columns.total(self.initial_volume)
-        exact = columns.total(self.initial_volume * self.initial_bond_sum) / whole
-        seen, before = (
-            np.maximum(total - field.ravel()[self.place], 0.0)
-            for field in (seen_metal, self._at_first)
-        )
+    def _moved(self, volume: Array, seen_metal: Array) -> tuple[Array, Array]:
+        """G of the classes where the surface has moved, and of it what is not drawn."""
+        columns, shares = self.columns, self._by_shares()
+        front, total = columns.front, shares.total
+        seen, before = (np.maximum(total - field, 0.0) for field in (seen_metal, self._at_first))
         before[before < 1e-9 * total] = 0.0
         ratio = np.divide(seen, before, out=np.full_like(seen, np.inf), where=before > 0)
         kept = np.clip(2.0 - ratio, 0.0, 1.0)
-        flux = columns.total(volume) * (seen + kept * (exact - before))
+        left, whole = self.scatter(volume), self.scatter(self.initial_volume)
+        stays = kept * np.divide(left, whole, out=np.zeros_like(left), where=whole > 0)
+        drawn = shares.drawn(left)
+        flux = np.maximum(left * seen + drawn, 0.0)
+        gone = (1.0 - stays) * self._uneven
+        if self.processes.any(gone.any()):
+            # As it once lay first, so that nothing is left of what is all forgotten.
+            handed = self._spread(self._spread(gone, self._first_flux), flux)
+            flux += np.clip(handed, -_HANDED * flux, _HANDED * flux)
+        flux = np.maximum(flux + stays * self._missed, 0.0)
         strength = closed_strength(front.horizon, front.kernel_exponent, front.influence)
         strength /= front.horizon
-        return columns.rates(volume, flux, strength, kept, self.initial_bond_sum)
+        lent = np.divide(drawn, flux, out=np.zeros_like(flux), where=(drawn > 0) & (flux > 0))
+        flux, kept, lent = (field.ravel()[self.place] for field in (flux, kept, lent))
+        rates = columns.rates(volume, flux, strength, kept, self.initial_bond_sum)
+        return rates, rates * (1.0 - np.minimum(lent, 1.0))[columns.row]
 
     def _balance(self, wanted_liquid: Array) -> None:
         """mu of the classes and nu of the liquid cells (which should see `wanted`), by turns."""

@@ -78,6 +78,27 @@ class FlatFront:
             low, high = np.where(much, middle, low), np.where(much, high, middle)
         return np.where(self.carried(thickness) > share, high, 0.0)
 
+    def layers(self, spacing: float, count: int) -> tuple[Array, float]:
+        """What carries the flux below a layer that a front along an axis cuts, and what it draws.
+
+        Returns T (count + 1,) and c: with a share f of the layer left, the flux from what lies
+        n layers or more below its bottom is f T_(n+1) + (1 - f) T_n, T_0 = 1, and the cut layer has
+        c f (1 - f) of that of the next, so that on the average over f each layer has its own.
+
+        Parameters
+        ----------
+        spacing : of the layers, m.
+        count : of layers in reach of the first.
+        """
+        places = (np.arange(400) + 0.5) / 400
+        depth = (places + np.arange(count)[:, None]) * spacing / self.horizon
+        below = 1.0 - self.carried(depth).mean(axis=1)
+        tails = np.zeros(count + 1)
+        for n in range(count - 1, 0, -1):
+            tails[n] = 2.0 * below[n] - tails[n + 1]
+        tails[0] = 1.0
+        return tails, float(3.0 * (1.0 + tails[1]) - 6.0 * below[0])
+
     def mean_depth(self, spacing: float) -> float:
         """Mean depth of the flux (m) if layers of cells of this size spread theirs evenly.
 

@@ -93,15 +93,15 @@ def end_of_ball() -> tuple[Lattice, CellExposure]:
     return lattice, cell_exposure(lattice, balls(1.2, 2, scaled=True), 1.0, fraction)
 
 
-def class_scene(**options) -> CorrosionScene:
-    """Rate classes that dissolve within their cells, horizon of two spacings."""
+def class_scene(horizon: float = 1.0, **options) -> CorrosionScene:
+    """Rate classes that dissolve within their cells, horizon of two or three spacings."""
     lattice, exposure = end_of_ball()
     settings = {
         "solid_concentration": 100.0, "saturation_concentration": 30.0, "dissolution_flux": 0.05,
         "liquid_diffusivity": 1.0, **options,
     }  # fmt: skip
     metal = exposure.metal.fraction > 0
-    return CorrosionScene(lattice, 1.0, metal, exposure=exposure, **settings)
+    return CorrosionScene(lattice, horizon, metal, exposure=exposure, **settings)
 
 
 _CLOSED = {"boundary": "no_flux", "liquid_diffusivity": 1e-2, "saturation_concentration": 5.0}
@@ -117,7 +117,7 @@ CLASSES = {
         TimeStepping("sdirk2", step=150.0),
     ),
     "classes-faradaic": (
-        {**_CLOSED, "dissolution": "faradaic"},
+        {**_CLOSED, "dissolution": "faradaic", "horizon": 1.5},
         (450.0,),
         TimeStepping("sdirk2", step=150.0),
     ),
