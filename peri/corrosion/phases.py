@@ -7,6 +7,7 @@ alone, so that a march cannot have one array of an old phase.
 from __future__ import annotations
 
 import copy
+import math
 from typing import Self
 
 import numpy as np
@@ -16,6 +17,9 @@ from peri.corrosion.scene import CorrosionScene
 from peri.engine.operators import NonlocalSum
 from peri.engine.processes import ONE_PROCESS, OneProcess, box_in_reach
 from peri.engine.walls import Walls
+
+_SMALLER = 0.8
+"""Of the box: a part that is larger is not worth arrays of its own, some 100 bytes a node."""
 
 
 class Phases:
@@ -144,8 +148,12 @@ class Phases:
             near, wide = (self._around(exposed, n) for n in (1, self.scene.dissolution.reaches))
             if near is None or wide is None:
                 return self
+            window = _common(wide, self.window, self.sum.reach)
+            cells = math.prod(w.stop - w.start for w in window)
+            if not self.processes.any(cells < _SMALLER * math.prod(self.box.shape)):
+                return self
             part = copy.copy(self)
-            part._make_box(_common(wide, self.window, self.sum.reach))
+            part._make_box(window)
             part._update_box()
             far = np.ones(self.sum.padded_shape)
             far[self.sum.interior][near] = 0.0
