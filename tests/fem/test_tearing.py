@@ -82,19 +82,19 @@ def test_a_test_that_would_stop_goes_on_without_its_shreds(monkeypatch, tmp_path
     shell = np.hypot(middle[:, 0], middle[:, 1]) > 0.45e-3
     f0 = np.where(shell, 0.645, 0.1)
     # two iterations are decided by what the linear solver leaves over: next to nothing here
-    settings = TensileSettings(maximum_strain=0.1, linear_solver="mumps")
+    # with increments that follow what f lags hardly any fails
+    settings = TensileSettings(maximum_strain=0.1, linear_solver="mumps", lag_tolerance=np.inf)
     whole = tensile_test(points, cells, f0, MAGNESIUM, settings)
     assert whole.status == "past_peak" and whole.torn_cells == 0
 
-    # with increments that follow what f lags hardly any fails
-    hasty = replace(settings, maximum_iterations=2, lag_tolerance=np.inf)
+    hasty = replace(settings, maximum_iterations=2)
     monkeypatch.setattr(module, "_FAILURES", 1)
     monkeypatch.setattr("fem.tearing.STRETCH", 1.02)
     path = tmp_path / "test.h5"
     torn = tensile_test(points, cells, f0, MAGNESIUM, hasty, observers=[Checkpoint(path)])
     assert torn.status == "past_peak"
-    assert 10 < torn.torn_cells <= min(torn.lost_cells, shell.sum())  # measured 44 of 84
-    # measured -2.6 %: the shell has 3 % of the strength on half of the section
+    assert 10 < torn.torn_cells <= min(torn.lost_cells, shell.sum())  # measured 24 of 96
+    # measured -1.6 %: the shell has 3 % of the strength on half of the section
     assert 0.95 < torn.peak_force / whole.peak_force < 1.0
     resumed = tensile_test(points, cells, f0, MAGNESIUM, hasty, resume=path)
     assert resumed.torn_cells == torn.torn_cells
