@@ -73,7 +73,7 @@ def fineness(spacing: Sequence[float], horizon: float) -> float:
     return float(np.clip(horizon / max(spacing) - 2.0, 0.0, 1.0))
 
 
-def share_bonds(stencil: Stencil, front: FlatFront) -> ShareBonds:
+def share_bonds(stencil: Stencil, front: FlatFront, by_layers: bool = True) -> ShareBonds:
     """The bonds of a lattice, 1/m^2.
 
     Parameters
@@ -82,8 +82,11 @@ def share_bonds(stencil: Stencil, front: FlatFront) -> ShareBonds:
         Of diffusion, 3D, one horizon.
     front : FlatFront
         Of the same horizon, kernel exponent and influence.
+    by_layers : bool
+        Without it the weights are those of two spacings per horizon, however fine the lattice.
     """
-    fine, fit = fineness(stencil.spacing, front.horizon), _Fit(stencil, front)
+    fine = fineness(stencil.spacing, front.horizon) if by_layers else 0.0
+    fit = _Fit(stencil, front)
     weights, drawing = np.zeros((2, *stencil.octant.shape))
     if fine < 1:
         weights += (1 - fine) * fit.by_depth()
