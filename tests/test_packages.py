@@ -13,8 +13,8 @@ from pipeline.benches.empty_environment import copied_sources
 ROOT = Path(__file__).resolve().parent.parent
 SOLVED_BY_DOLFINX = {
     "fem.assembly", "fem.compat", "fem.discretisation", "fem.loading", "fem.multigrid",
-    "fem.newton", "fem.outcome", "fem.preparation", "fem.settings", "fem.solvers", "fem.strength", "fem.tearing",
-    "fem.two_levels",
+    "fem.newton", "fem.outcome", "fem.preparation", "fem.settings", "fem.solvers", "fem.strength",
+    "fem.tearing", "fem.two_levels",
 }  # fmt: skip
 ON_RANKS = {
     "peri.corrosion.ranks", "peri.coupled.galvanic_ranks", "peri.parallel.multigrid",
