@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import math
 
 import numpy as np
 
@@ -91,14 +90,15 @@ class Balance:
         more: float = 0.0,
         emptied: np.ndarray | None = None,
     ) -> float:
-        """Close the stage's amounts to round-off, in place.
+        """Scale the liquid (or the metal) so that the stage's amounts add up to round-off.
 
-        What is open is the sum of the linear solver's residual, which would add up over the steps
-        (and is the solver's round-off, not its tolerance, for very stiff ones).  The liquid takes
-        it in proportion to what it holds, times its room below C_sat; what finds none there changes
-        what the metal lost in this stage, so that no node rises above its old value, or the metal
-        itself, at rest up to its C_solid; then what is released.  Each takes no more than the
-        solver may have left open, so that a stage that went wrong shows.
+        What is missing is the sum of the linear solver's residual, which would add up over the
+        steps (and is the solver's round-off, not its tolerance, for very stiff ones).  The factor
+        differs from 1 by no more than that.  Where the liquid is too clean to hold it, or would
+        rise above C_sat by more than round-off, what the metal loses takes it, so that no node
+        rises above its old value or falls below zero; at rest the metal itself does, by 1e-9 of it
+        at most and up to its C_solid; where there is no metal either, what is released does, or
+        the room that the liquid has below C_sat.
 
         released : mol.  more : that pores hold more than before, mol/m^3 times cells.  emptied :
         metal that the stage empties, padded; while other metal is left it takes nothing, since it
@@ -106,43 +106,48 @@ class Balance:
         """
         p = self.phases
         total = p.processes.total
-        change = p.capacity * (result - np.where(p.free | p.metal, old, 0.0))
+        held = p.put(active) > 0
+        solved = p.free & ~held
+        content = p.capacity * result
+        liquid = total(float(content[solved].sum()))
+        change = content - p.capacity * np.where(p.free | p.metal, old, 0.0)
         passed = released / p.scene.lattice.cell_volume
         missing = -total(float(change.sum())) - more - passed
-        solved = p.free & ~(p.put(active) > 0)
-        way = math.copysign(1.0, missing) * result[solved]
-        slight = 1e-6 * total(float((p.capacity[solved] * result[solved]).sum()))
-        if missing > 0 and p.scene.saturation == "complementarity":
-            limit = (1.0 + _ROUND_OFF) * p.scene.saturation_concentration
-            way *= np.maximum(1.0 - result[solved] / limit, 0.0)
-        missing = self._move(result, solved, way, missing, slight)
-        if missing == 0:
+        factor = 1.0 + missing / liquid if liquid > 0 else 1.0
+        small = liquid > 0 and abs(missing) <= 1e-6 * liquid
+        highest = p.processes.largest(float(result[solved].max(initial=0.0)))
+        most = p.scene.saturation_concentration
+        bound = p.scene.saturation == "complementarity" and factor > 1.0
+        if small and not (bound and factor * highest > (1.0 + _ROUND_OFF) * most):
+            result[solved] *= factor
             return 0.0
         left = p.metal if emptied is None else p.metal & ~emptied
-        left = left if p.processes.any(left.any()) else p.metal
-        lost = total(float(-change[left].sum()))
-        slight = max(slight, 1e-3 * lost, 1e-9 * total(float((p.capacity * result)[left].sum())))
-        way = -result[left]
-        if missing > 0:
+        if not p.processes.any(left.any()):
+            left = p.metal
+        metal = total(float(content[left].sum()))
+        lost = -total(float(change[left].sum()))
+        # Where liquid is full, the metal takes back what it lost, which it did not by its law.
+        if 0 < missing <= (lost + 1e-12 * metal if small else 1e-3 * lost):
+            result[left] += min(1.0, missing / lost if lost > 0 else 0.0) * (old - result)[left]
+        elif missing < 0 and -missing <= min(max(1e-3 * lost, 1e-9 * metal), 1e-3 * metal):
+            result[left] *= 1.0 + missing / metal
+        elif 0 < missing <= 1e-9 * metal:
             full = p.of_solids([solid.concentration for solid in p.scene.solids])
-            way = np.maximum((old if lost > 0 else full)[left] + way, 0.0)
-        missing = self._move(result, left, way, missing, slight)
-        slight = min(1e-3 * passed, max(1e-6 * passed, 1e-9 * self.metal_scale))
-        return missing * p.scene.lattice.cell_volume if abs(missing) <= slight else 0.0
+            self._fill(result, left, full, missing)
+        elif abs(missing) <= min(1e-3 * passed, max(1e-6 * passed, 1e-9 * self.metal_scale)):
+            return missing * p.scene.lattice.cell_volume
+        elif small:
+            self._fill(result, solved, most, missing)
+        return 0.0
 
-    def _move(
-        self, result: np.ndarray, nodes: np.ndarray, way: np.ndarray, missing: float, most: float
-    ) -> float:
-        """Move nodes along `way`, by the whole of it at most, in place; what that leaves missing.
-
-        missing, most : amounts, mol/m^3 times cells; `way` has the sign of the former.
-        """
+    def _fill(
+        self, result: np.ndarray, nodes: np.ndarray, full: np.ndarray | float, missing: float
+    ) -> None:
+        """Add an amount (mol/m^3 times cells) to nodes, in place, in proportion to their room."""
         p = self.phases
-        space = p.processes.total(float((p.capacity[nodes] * np.abs(way)).sum()))
-        taken = min(abs(missing), most, space)
-        if space > 0:
-            result[nodes] += (taken / space) * way
-        return missing - math.copysign(taken, missing) if taken < abs(missing) else 0.0
+        room = np.maximum(full - result, 0.0)[nodes]
+        space = p.processes.total(float((p.capacity[nodes] * room).sum()))
+        result[nodes] += min(1.0, missing / space) * room if space > 0 else 0.0
 
     def release_rate(
         self,
