@@ -69,8 +69,10 @@ class InterfaceLaw(ABC):
     name : as scenes and files say it.  saturations, schemes : what it goes with, and why not
     with the others (`only`).  reaches : of the bonds, how far around the metal that sees liquid a
     stage looks at first: one, and another where a node that it empties exposes others.  reduces :
-    whether in clean liquid every metal node obeys
-    C' = -lambda g C, which peri.omissions rests on.
+    whether in clean liquid every metal node obeys C' = -lambda g C, which peri.omissions rests on.
+    by_layers : whether metal goes layer by layer, so that the bonds of cells that a surface cuts
+    are those for that (engine.surface.share_weights); where it goes over a horizon's depth, a
+    ball errs by more with them (peri/MEASURED.md).
     """
 
     name: ClassVar[str]
@@ -79,6 +81,7 @@ class InterfaceLaw(ABC):
     only: ClassVar[str] = ""
     reaches: ClassVar[int] = 1
     reduces: ClassVar[bool] = False
+    by_layers: ClassVar[bool] = False
 
     def key(self) -> dict[str, object]:
         """What determines the law, for the mark of a checkpoint."""

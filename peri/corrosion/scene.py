@@ -324,14 +324,10 @@ class CorrosionScene:
         return self._stencil
 
     def cut_cell_bonds(self, front: FlatFront) -> ShareBonds:
-        """Bonds between the shares of cells that a moving surface cuts, 1/m^2.
-
-        By layers where metal goes layer by layer; by the proportional law it goes over a horizon's
-        depth, and a ball errs by more with them (peri/MEASURED.md).
-        """
+        """Bonds between the shares of cells that a moving surface cuts, 1/m^2."""
         from peri.engine.surface.share_weights import share_bonds  # loads scipy.optimize
 
-        return share_bonds(self.stencil, front, self.dissolution.name == "faradaic")
+        return share_bonds(self.stencil, front, self.dissolution.by_layers)
 
     def nearest_stencil(self) -> Stencil:
         """Weights 1 of the next cells along each axis, on an octant like the stencil's."""

@@ -54,7 +54,7 @@ class LayeredScene(CorrosionScene):
 
     def cut_cell_bonds(self, front: FlatFront) -> ShareBonds:
         """See CorrosionScene.cut_cell_bonds."""
-        full = share_bonds(self._full(), front, self.dissolution.name == "faradaic")
+        full = share_bonds(self._full(), front, self.dissolution.by_layers)
         weights, drawing = self._summed(full.weights), self._summed(full.drawing)
         return ShareBonds(weights, drawing, full.handed)
 

@@ -281,12 +281,9 @@ class CellProblem(FirstOrder):
     def outrun(self, stages: Sequence[Stage]) -> float:
         """Share of the interface's flux that a step takes from what goes with it.
 
-        Where others give at once what a class lacks, what cells draw is not counted: those next to
-        them carry it from then on.
+        What cells draw is not counted: those next to them carry it from then on.
         """
-        cells, last = self.cells, stages[-1].fields
-        total, at_once = self.processes.total, CLASS_BONDS[self.scene.dissolution.name].ahead == 0
+        cells, last, total = self.cells, stages[-1].fields, self.processes.total
         whole = total(float(cells.volume @ cells.bond_sum))
         lost = cells.volume - cells.left(last["classes"], last["life"])
-        rates = cells.own if at_once else cells.bond_sum
-        return total(float(lost @ rates)) / whole if whole > 0 else 0.0
+        return total(float(lost @ cells.own)) / whole if whole > 0 else 0.0

@@ -41,6 +41,7 @@ class Faradaic(InterfaceLaw):
     saturations = ("complementarity", "none")
     schemes = ("backward_euler", "sdirk2")
     reaches = 2
+    by_layers = True
     only = "implicit stages know when a node is empty; the published switch is the other law's"
 
     def liquid_below(self, scene: CorrosionScene) -> float:

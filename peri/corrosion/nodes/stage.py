@@ -31,10 +31,6 @@ _ROUND_OFF = 4 * np.finfo(float).eps
 """Of a sum over bonds relative to its largest terms: no residual is known better."""
 
 
-class _TooFar(Exception):
-    """The stage empties metal that exposes nodes off the box that it looks at."""
-
-
 @dataclass
 class Stage:
     """Solution of one implicit stage Y = old + tau F(Y)."""
@@ -73,26 +69,15 @@ class StageSolver:
         theta: np.ndarray | None,
         volume_loss: float,
         pores: np.ndarray | None = None,
+        near: bool = True,
     ) -> Stage:
-        """See BiMaterial.implicit_stage."""
-        self.d = self._part(old)
-        try:
-            return self._solve(old, tau, guess, theta, volume_loss, pores)
-        except _TooFar:
-            self.d = self.whole
-            self.liquid.forget()
-            return self._solve(old, tau, guess, theta, volume_loss, pores)
+        """See BiMaterial.implicit_stage; near: on a box no larger than the law of the bonds needs.
 
-    def _solve(
-        self,
-        old: np.ndarray,
-        tau: float,
-        guess: np.ndarray,
-        theta: np.ndarray | None,
-        volume_loss: float,
-        pores: np.ndarray | None,
-    ) -> Stage:
-        d, whole = self.d, self.whole
+        Where such a stage empties metal that exposes nodes off its box, it is solved on the whole.
+        """
+        whole = self.whole
+        d = self.d = self._part(old) if near else whole
+        start, loss_at_start = theta, volume_loss
         if theta is not None:
             theta = whole.to_part(d, theta)
         filled = None
@@ -123,9 +108,10 @@ class StageSolver:
             rounds += 1
             liquid = d.take(y)
             volume_loss = self._settle_rate(exchange, held.theta, volume_loss, liquid, known, gone)
-            if d is not self.whole and exchange.emptied is not None:
+            if d is not whole and exchange.emptied is not None:
                 if d.processes.any((exchange.emptied & d.box_far).any()):
-                    raise _TooFar
+                    self.liquid.forget()
+                    return self.solve(old, tau, guess, start, loss_at_start, pores, near=False)
             view = y[d.window]
             view[held.active[d.box.interior]] = saturated
             if filled is not None:
