@@ -14,7 +14,7 @@ def test_a_random_couple_keeps_its_bounds(seed):
     assert check(seed) in ("marched", "used up")
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2, 3, 12, 597, 600, 602])
+@pytest.mark.parametrize("seed", [1, 2, 597, 600, 602])
 def test_a_random_couple_with_ions_keeps_its_bounds(seed):
     """Metal, ions, salt and what is renewed add up; nothing is negative or above saturation.
 

@@ -37,6 +37,7 @@ def test_resumed_equals_uninterrupted(tmp_path, element):
     )
 
 
+@pytest.mark.slow
 def test_one_rank_goes_on_with_two_and_back(tmp_path):
     """Interrupted on one rank and resumed on two; and the other way round."""
     whole = run("P2", "whole", None)

@@ -9,7 +9,7 @@ from tests.peri.coupled import rank_cases
 from tests.peri.coupled.rank_cases import CASES, STOPPED, marched, problem_of
 from tests.ranks import OnRanks, needs_mpirun
 
-FAST = ("rest", "goes")
+FAST = ("goes",)
 """Run on two ranks by default; with `slow` every case on 1, 2 and 4."""
 
 RESTS = {"volume_loss": 1e-14, "psi": 1e-14, "potential": 1e-15, "largest_potential": 1e-15}

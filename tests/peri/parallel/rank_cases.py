@@ -150,6 +150,11 @@ MARCHES |= {
     name: (partial(class_scene, **options), times, stepping)
     for name, (options, times, stepping) in CLASSES.items()
 }
+BY_DEFAULT = (
+    "ball", "closed", "line", "gap", "pores", "pores-closed", "alone", "proportional-acidity",
+    "faradaic-repassivation", *CLASSES,
+)  # fmt: skip
+"""What two ranks march without `slow`, which adds the other laws."""
 
 
 def options(name: str) -> dict[str, object]:
@@ -217,7 +222,7 @@ def solve(system, right, processes=ONE_PROCESS):
 
 
 def main(path: str, *names: str) -> None:
-    """Run everything, or the marches of these names, on the ranks; rank 0 writes the results."""
+    """Run all marches, or those of these names, and the rest on ranks; rank 0 writes the results."""
     from mpi4py import MPI
 
     from peri.corrosion.ranks import corrode
@@ -232,8 +237,7 @@ def main(path: str, *names: str) -> None:
                 out[f"{name}/{field}"] = getattr(result, field)
             for field, values in result.history.items():
                 out[f"{name}/history/{field}"] = values
-    if not names:
-        others(comm, path, out)
+    others(comm, path, out)
     if root:
         np.savez(path, **out)
 

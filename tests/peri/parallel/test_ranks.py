@@ -1,5 +1,7 @@
 """The march on 2 MPI ranks, with `slow` on 1 and 4 as well, against the embedded solver."""
 
+from functools import lru_cache
+
 import numpy as np
 import pytest
 
@@ -9,15 +11,16 @@ from peri.engine.processes import share_out, work_per_plane
 from tests.peri.parallel import rank_cases
 from tests.ranks import OnRanks, needs_mpirun
 
-RANKS = (2, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 4)))
-ON_FOUR = ("ball",)
-"""Marches that four ranks, in blocks beside one another along two axes, do by default, too."""
+slow = pytest.mark.slow
+RANKS = (2, *(pytest.param(n, marks=slow) for n in (1, 4)))
+CHOICES = {2: rank_cases.BY_DEFAULT, 1: (), 4: ()}
+"""Marches by number of ranks, all without a name; with `slow` two ranks do all of them, too."""
 RUNS = [
-    *(pytest.param(name, 4, ON_FOUR, id=f"{name}-4") for name in ON_FOUR),
+    *(pytest.param(name, 2, CHOICES[2], id=f"{name}-2") for name in CHOICES[2]),
     *(
-        pytest.param(name, *ranks.values, (), id=f"{name}-{ranks.values[0]}-all", marks=ranks.marks)
+        pytest.param(name, ranks, (), id=f"{name}-{ranks}-all", marks=slow)
         for name in rank_cases.MARCHES
-        for ranks in (pytest.param(2), *RANKS[1:])
+        for ranks in (1, 2, 4)
     ),
 ]
 
@@ -32,17 +35,20 @@ def on_ranks(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def embedded():
-    """Results of the same marches in this process."""
-    return {
-        name: corrode(make(), times, stepping, **rank_cases.options(name))
-        for name, (make, times, stepping) in rank_cases.MARCHES.items()
-    }
+    """Result of one of the same marches in this process, each run once."""
+
+    @lru_cache(None)
+    def result(name):
+        make, times, stepping = rank_cases.MARCHES[name]
+        return corrode(make(), times, stepping, **rank_cases.options(name))
+
+    return result
 
 
 @needs_mpirun
 @pytest.mark.parametrize(("name", "ranks", "names"), RUNS)
 def test_march_agrees_with_the_embedded_solver(name, ranks, names, on_ranks, embedded):
-    arrays, expected = on_ranks(ranks, names), embedded[name]
+    arrays, expected = on_ranks(ranks, names), embedded(name)
     solid = expected.scene.solid_concentration
     # The state is not trivial: metal is lost, liquid is reached.
     assert expected.volume_loss[-1] > 0.01
@@ -64,7 +70,7 @@ def test_march_agrees_with_the_embedded_solver(name, ranks, names, on_ranks, emb
 @needs_mpirun
 @pytest.mark.parametrize(("name", "ranks", "names"), RUNS)
 def test_amounts_and_iterations_of_the_march(name, ranks, names, on_ranks, embedded):
-    arrays, expected = on_ranks(ranks, names), embedded[name].history
+    arrays, expected = on_ranks(ranks, names), embedded(name).history
     # round-off, as the stages close their balance: measured 2e-16
     assert np.abs(arrays[f"{name}/history/balance_error"]).max() < 1e-14
     for field in ("time", "saturated_nodes", "dissolved_nodes"):
@@ -90,7 +96,7 @@ def test_diffusion_system_on_ranks(stiffness, ranks, on_ranks):
         *rank_cases.diffusion_system(rank_cases.ball_scene(), stiffness=stiffness)
     )
     assert np.abs(expected).max() > 0
-    arrays = on_ranks(ranks)
+    arrays = on_ranks(ranks, CHOICES[ranks])
     x, count = arrays[f"diffusion/{stiffness:g}"], arrays[f"diffusion/{stiffness:g}/iterations"]
     # relative residual 1e-10: measured 5.3e-11
     np.testing.assert_allclose(x, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
@@ -106,7 +112,7 @@ def test_bonds_of_all_kinds_on_ranks(name, ranks, on_ranks):
     scene = rank_cases.ball_scene()
     expected, alone = rank_cases.solve(*rank_cases.bond_system(name, scene))
     assert np.abs(expected).max() > 0
-    arrays = on_ranks(ranks)
+    arrays = on_ranks(ranks, CHOICES[ranks])
     x, count = arrays[f"bonds/{name}"], arrays[f"bonds/{name}/iterations"]
     # relative residual 1e-10
     np.testing.assert_allclose(x, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
@@ -117,7 +123,7 @@ def test_bonds_of_all_kinds_on_ranks(name, ranks, on_ranks):
 @pytest.mark.parametrize("ranks", RANKS)
 @pytest.mark.parametrize("name", rank_cases.STOPPED)
 def test_checkpoint_of_ranks_resumes_there_and_in_one_process(name, ranks, on_ranks, embedded):
-    arrays = on_ranks(ranks)
+    arrays = on_ranks(ranks, CHOICES[ranks])
     # What rank 0 raised in a report reached the others, which report nothing.
     reports = [rank_cases.STOPPED[name]] + [0] * (ranks - 1)
     np.testing.assert_array_equal(arrays[f"stopped/{name}"], reports)
@@ -125,9 +131,9 @@ def test_checkpoint_of_ranks_resumes_there_and_in_one_process(name, ranks, on_ra
     make, times, stepping = rank_cases.MARCHES[name]
     resumed = corrode(
         make(), times, stepping, **rank_cases.options(name), resume=True, checkpoint_every=1e9,
-        checkpoint=on_ranks.file(ranks, ending=f".{name}"),
+        checkpoint=on_ranks.file(ranks, CHOICES[ranks], f".{name}"),
     )  # fmt: skip
-    expected = embedded[name]
+    expected = embedded(name)
     assert len(resumed.history["time"]) == len(expected.history["time"])
     solid = expected.scene.solid_concentration
     difference = np.abs(resumed.concentration - expected.concentration).max()
@@ -138,9 +144,9 @@ def test_checkpoint_of_ranks_resumes_there_and_in_one_process(name, ranks, on_ra
 @pytest.mark.parametrize("ranks", RANKS)
 def test_blocks_narrower_than_the_reach_are_refused(ranks, on_ranks):
     if ranks == 1:
-        assert "refusal" not in on_ranks(ranks)
+        assert "refusal" not in on_ranks(ranks, CHOICES[ranks])
         return
-    assert str(on_ranks(ranks)["refusal"]) == (
+    assert str(on_ranks(ranks, CHOICES[ranks])["refusal"]) == (
         f"ranks: {ranks} for a lattice of 3 nodes; every rank's block must be at least as "
         "wide as the stencil reaches, 2 nodes, so use fewer"
     )
@@ -150,7 +156,7 @@ def test_blocks_narrower_than_the_reach_are_refused(ranks, on_ranks):
 @pytest.mark.parametrize("ranks", RANKS)
 def test_broken_bonds_are_those_of_one_process(ranks, on_ranks, embedded):
     """One hashed number a bond: the same bonds to the last one, whoever computed the loss."""
-    result, arrays = embedded["ball"], on_ranks(ranks)
+    result, arrays = embedded("ball"), on_ranks(ranks, CHOICES[ranks])
     scene = result.scene
     damage = BondDamage(
         scene.lattice, scene.horizon, scene.metal, scene.solid_concentration,

@@ -1,8 +1,11 @@
 """The benchmark of calibration, its small version."""
 
+import pytest
+
 from pipeline.benches.registry import run_benchmark
 
 
+@pytest.mark.slow
 def test_small_calibration():
     results = run_benchmark("calibration", small=True)["results"]
     value = {row["quantity"]: row["value"] for row in results}

@@ -6,6 +6,7 @@ from pipeline.benches import corrosion as bench_corrosion
 from pipeline.benches.case import in_own_process, peak_memory, published_screw
 
 
+@pytest.mark.slow
 def test_a_case_in_its_own_process_has_its_own_peak_memory():
     ballast = bytearray(600_000_000)
     ballast[::4096] = b"x" * len(ballast[::4096])

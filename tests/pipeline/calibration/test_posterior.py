@@ -70,6 +70,7 @@ def log_density(fitted):
     return density
 
 
+@pytest.mark.slow
 def test_bands_are_those_of_a_plain_grid(fitted, sampled):
     density = log_density(fitted)
     lines = (np.log(np.geomspace(6e-15, 1e-13, 40)), np.log(np.geomspace(0.02, 10.0, 40)))

@@ -7,6 +7,7 @@ import io
 import json
 import re
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -38,8 +39,11 @@ TOO_WEAK = UntilRow(
 
 @pytest.fixture(scope="module", autouse=True)
 def _coarser_pictures():
+    """A sixth of the time."""
+    small = partial(pictures.render_pictures, size=(105, 154))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(picture_set, "ENOUGH_CELLS", 5000)  # a third of the time
+        patch.setattr(picture_set, "ENOUGH_CELLS", 5000)
+        patch.setattr(picture_set, "render_pictures", small)
         yield
 
 

@@ -53,6 +53,7 @@ def ball_volume_loss(radius, horizon, flux, concentration, times):
     return quad_vec(lost, 1e-9, radius * (1 - 1e-12), limit=400)[0]
 
 
+@pytest.mark.slow
 def test_reference_is_exact_for_a_ball():
     radius, horizon, flux, concentration = 1.0, 0.3, 1.0, 1.0
     times = [0.01, 0.05, 0.2]
