@@ -222,7 +222,7 @@ def solve(system, right, processes=ONE_PROCESS):
 
 
 def main(path: str, *names: str) -> None:
-    """Run all marches, or those of these names, and the rest on ranks; rank 0 writes the results."""
+    """Run all marches, or these, and the rest on the ranks; rank 0 writes the results."""
     from mpi4py import MPI
 
     from peri.corrosion.ranks import corrode
