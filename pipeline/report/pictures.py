@@ -130,6 +130,7 @@ def screw_picture(
     plotter = pyvista.Plotter(
         off_screen=True, window_size=[oversampling * s for s in size], lighting="none"
     )
+    plotter.disable_anti_aliasing()  # beside oversampling: twice the time
     # Translucent parts blend with the background colour even where that is transparent.
     plotter.set_background(SHELL_COLOUR)
     try:
