@@ -26,7 +26,9 @@ from fem.march import March
 from fem.quadrature import EDGES
 from fem.quadrature_state import Fields
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
+"""Of a checkpoint: raise it when `Fields`, `_SCALARS` or a row of the history gain or lose a name."""
+
 _SCALARS = (
     "previous_size",
     "strain",
@@ -276,8 +278,8 @@ class Checkpoint:
 def restore(test: Any, path: str | Path) -> March:
     """Put a test into the state of a checkpoint and return where it stands; collective.
 
-    Raises FileNotFoundError, or CheckpointError if the file is none of this mesh, damage, material,
-    element, grips and load.
+    Raises FileNotFoundError, or CheckpointError if the file is none of this version, mesh, damage,
+    material, element, grips and load.
     """
     content, error = None, None
     if test.comm.rank == 0:
@@ -304,7 +306,7 @@ def restore(test: Any, path: str | Path) -> March:
     test.fix_unused()
     test.solver.reference = march.pop("reference")
     test.lost_cells = int(march.pop("lost_cells"))
-    test.torn_cells = int(march.pop("torn_cells", 0))
+    test.torn_cells = int(march.pop("torn_cells"))
     scalars = {name: march[name] for name in _SCALARS}
     return March(displacement=displacement, previous=previous, rows=rows, **scalars)
 
@@ -314,6 +316,8 @@ def _read(test, path: Path) -> tuple:
     if not path.is_file():
         raise FileNotFoundError(f"checkpoint {path} does not exist")
     with h5py.File(path, "r") as file:
+        if file.attrs.get("schema_version") != SCHEMA_VERSION:
+            raise CheckpointError(f"checkpoint {path} was written by another version of perilife")
         if file.attrs.get("fingerprint") != _fingerprint(test):
             raise CheckpointError(
                 f"checkpoint {path} belongs to another mesh, damage, material, element, grips "

@@ -6,7 +6,7 @@ import pytest
 
 pytest.importorskip("dolfinx")
 
-from fem.results import Checkpoint, ParaviewSeries
+from fem.results import Checkpoint, CheckpointError, ParaviewSeries
 from fem.strength import TensileSettings, tensile_test
 from tests.fem.meshes import box
 from tests.fem.restart_run import MATERIAL, Interrupted, run, scene
@@ -74,6 +74,11 @@ def test_refuses_the_checkpoint_of_another_test(tmp_path):
     tensile_test(points, cells, 0.1, MATERIAL, settings, observers=[Checkpoint(path)])
     with pytest.raises(ValueError, match="another mesh, damage"):
         tensile_test(points, cells, 0.2, MATERIAL, settings, resume=path)
+    with h5py.File(path, "a") as file:  # as one without what f grew by
+        file.attrs["schema_version"] = 1
+        del file["cells/growth"]
+    with pytest.raises(CheckpointError, match="another version"):
+        tensile_test(points, cells, 0.1, MATERIAL, settings, resume=path)
     with pytest.raises(FileNotFoundError, match="does not exist"):
         tensile_test(points, cells, 0.1, MATERIAL, settings, resume=tmp_path / "absent.h5")
     with pytest.raises(ValueError, match="every"):
