@@ -42,6 +42,11 @@ class Fields:
         return Fields(*(getattr(self, name).copy() for name in self.__dataclass_fields__))
 
 
+def grown_by(damage: np.ndarray, growth: np.ndarray) -> np.ndarray:
+    """f after a fall of ln(1 - f) by `growth`; f itself, to the last bit, where that is 0."""
+    return damage + (damage - 1.0) * np.expm1(-growth)
+
+
 class QuadratureState:
     """Old (committed) and new (tried) fields; `commit` accepts the new ones.
 
@@ -61,9 +66,13 @@ class QuadratureState:
         foreseen, and no fall of f: where pores close, f follows within the increment.
         """
         damage = self.old.damage
-        grown = 1.0 - (1.0 - damage) * np.exp(-share * np.maximum(self.old.growth, 0.0))
+        foreseen = grown_by(damage, share * np.maximum(self.old.growth, 0.0))
         halfway = 0.5 * (damage + laws.per_cell(LIMIT))
-        self.acting = np.maximum(damage, np.minimum(grown, halfway))
+        self.acting = np.maximum(damage, np.minimum(foreseen, halfway))
+
+    def growth(self) -> np.ndarray:
+        """Fall of ln(1 - f) from old to new (nl, nq): the plastic volume strain of (5.42)."""
+        return np.log((1.0 - self.old.damage) / (1.0 - self.new.damage))
 
     def average_damage(self, weights: np.ndarray) -> None:
         """Give all points of a cell the mean of their new f; weights: (nq,) of the quadrature."""
@@ -73,14 +82,15 @@ class QuadratureState:
     def lagging_work(self, volumes: np.ndarray, laws: Laws) -> float:
         """By how much the plastic work changes if the new f had acted [J]: amounts of all points.
 
-        Strength falls with f by 1 - q1 f; the flow is taken as it was.
+        Strength falls with f by 1 - q1 f; the flow is taken as it was. Where pores close, f fell
+        within the increment from the f acting, and that is what acted.
         volumes: (nl, nq) [m^3], zero where a point is another rank's.
         """
-        old, new = self.old, self.new
-        opened = np.log((1.0 - old.damage) / (1.0 - new.damage))
+        old, new, opened = self.old, self.new, self.growth()
         flowed = np.sqrt(np.maximum((new.strain - old.strain) ** 2 - 2.0 / 9.0 * opened**2, 0.0))
         work = new.mises * flowed + new.pressure * opened
-        acted = strength_left(self.acting, laws.parameters, laws.of_cell)
+        acted = grown_by(self.acting, np.minimum(opened, 0.0))
+        acted = strength_left(acted, laws.parameters, laws.of_cell)
         left = strength_left(new.damage, laws.parameters, laws.of_cell)
         return float(abs(volumes * work * (1.0 - left / acted)).sum())
 
@@ -97,7 +107,7 @@ class QuadratureState:
 
     def commit(self) -> None:
         """Accept the tried state; the next assembly overwrites `new` completely."""
-        self.new.growth[:] = np.log((1.0 - self.old.damage) / (1.0 - self.new.damage))
+        self.new.growth[:] = self.growth()
         self.new.acted[:] = self.acting
         self.old, self.new = self.new, self.old
         self.acting = self.old.damage.copy()

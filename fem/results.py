@@ -27,7 +27,7 @@ from fem.quadrature import EDGES
 from fem.quadrature_state import Fields
 
 SCHEMA_VERSION = 2
-"""Of a checkpoint: raise it when `Fields`, `_SCALARS` or a row of the history gain or lose a name."""
+"""Of a checkpoint; one more whenever `Fields`, `_SCALARS` or a row of the history change names."""
 
 _SCALARS = (
     "previous_size",

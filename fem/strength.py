@@ -29,7 +29,7 @@ from fem.newton import INVERTED_PREDICTION, Equilibrium, EquilibriumSolver
 from fem.outcome import TensileResult, peak_of_curve
 from fem.preparation import prepare
 from fem.quadrature import Element, find_element
-from fem.quadrature_state import QuadratureState
+from fem.quadrature_state import QuadratureState, grown_by
 from fem.results import Increment, restore
 from fem.settings import TensileSettings
 from fem.solid import remains
@@ -329,10 +329,10 @@ class _Test:
 
     def _spread_damage(self) -> None:
         """Average the growth of f over the damage length; solved on rank 0, which has the mesh."""
-        d, old, new = self.discretisation, self.state.old, self.state.new
+        d, damage = self.discretisation, self.state.old.damage
         mine = d.owned & self.assembler.alive
-        growth = np.log((1.0 - old.damage[mine, 0]) / (1.0 - new.damage[mine, 0]))
-        parts = self.comm.gather((d.original_cells[mine], growth, old.damage[mine, 0] > 0.0))
+        growth = self.state.growth()[mine, 0]
+        parts = self.comm.gather((d.original_cells[mine], growth, damage[mine, 0] > 0.0))
         averaged, error = None, None
         if self.comm.rank == 0:
             total = np.zeros(len(self.prepared.kept))
@@ -347,8 +347,7 @@ class _Test:
         if error is not None:
             raise RuntimeError(error)
         spread = self._scatter(d.original_cells, lambda: averaged)[:, None]
-        damage = 1.0 - (1.0 - old.damage) * np.exp(-spread)
-        new.damage[:] = np.clip(damage, 0.0, self.limit)
+        self.state.new.damage[:] = np.clip(grown_by(damage, spread), 0.0, self.limit)
 
     def _increment(self, march: March) -> tuple[Equilibrium, np.ndarray]:
         """Predict and solve the next increment; returns the outcome and the displacement."""
