@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-_EASY, _HARD = 5, 8  # Newton iterations below which increments grow, above which they shrink
+_EASY, _HARD = 5, 8  # Newton iterations up to which increments grow, above which they shrink
 _GROWTH, _RETURN = 1.5, 3.0  # of increments at most; back to a size that failed
 _SHORTEST = 0.25  # of its size: what an increment is shortened to at once
 _TIMES = 3  # in a row that an increment is shortened
@@ -41,10 +41,11 @@ class March:
         self.displacement = displacement
         self.strain += self.size
 
-    def choose_size(self, iterations: int, lag: float, largest: float) -> None:
+    def choose_size(self, iterations: int, lag: float, smallest: float, largest: float) -> None:
         """Size of the next increment by the last one's Newton iterations and lag; forget failures.
 
-        lag: over the one that is wanted; with f foreseen it grows with the square of the size.
+        lag: over the one that is wanted; with f foreseen it grows with the square of the size. It
+        makes no increment smaller than `smallest`.
         """
         factor = 1.0
         if iterations <= _EASY and self.halvings == 0:
@@ -54,14 +55,17 @@ class March:
             factor = 0.7
         if self.size >= self.failed_size:
             self.failed_size = 0.0
-        self.size = min(self.size * min(factor, _by_lag(lag)), largest)
+        self.size = min(self.size * factor, max(self.size * _by_lag(lag), smallest), largest)
         self.halvings, self.failures, self.shrunk, self.shortened = 0, 0, 1.0, 0
 
-    def shorten(self, lag: float) -> bool:
-        """Take the increment anew, shorter, by its lag over the one wanted; False: often enough."""
-        if self.shortened == _TIMES:
+    def shorten(self, lag: float, smallest: float) -> bool:
+        """Take the increment anew, shorter, by its lag over the one wanted.
+
+        False, and nothing changed, where that has been done often enough or it is as small as that.
+        """
+        if self.shortened == _TIMES or self.size <= smallest:
             return False
-        self.size, self.shortened = self.size * _by_lag(lag), self.shortened + 1
+        self.size, self.shortened = max(self.size * _by_lag(lag), smallest), self.shortened + 1
         return True
 
     def halve(self, share: float = 0.5) -> None:

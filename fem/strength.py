@@ -187,8 +187,9 @@ class _Test:
         if resume is None:
             for observer in observers:
                 getattr(observer, "begin", lambda increment: None)(Increment(self, march))
-        parted, tried_ones = resume is not None and self._parted(), 0
-        while not parted and march.strain < s.maximum_strain * (1 - 1e-12):
+        ended, parted = self._ended(march, march.rows[-1][self.load.reaction]), self._parted()
+        tried_ones = 0
+        while not (ended or parted) and march.strain < s.maximum_strain * (1 - 1e-12):
             if tried_ones == s.tries:
                 status = f"stopped: {tried_ones} increments tried at strain {march.strain:.5f}"
                 break
@@ -196,8 +197,8 @@ class _Test:
             march.size = min(march.size, s.maximum_strain - march.strain)
             outcome, tried = self._increment(march)
             if not (outcome.converged or self._known(march, outcome)):
-                if self._ended(march, outcome.reaction + outcome.unbalanced):
-                    status = "past_peak"
+                ended = self._ended(march, outcome.reaction + outcome.unbalanced)
+                if ended:
                     break
                 parted = self._retreat(march, outcome, tried)
                 if march.size < s.minimum_increment:
@@ -209,7 +210,7 @@ class _Test:
             excess = lag / self._wanted_lag(march, outcome)
             # with cells gone there is a jump to settle, whatever the size
             settled = self.lost_cells == march.rows[-1]["lost_cells"]
-            if settled and excess > _LAGS and march.shorten(excess):
+            if settled and excess > _LAGS and march.shorten(excess, s.minimum_increment):
                 continue
             self._accept(march, outcome, tried, lag, excess)
             self._report(march, progress)
@@ -218,11 +219,11 @@ class _Test:
             for observer in observers:
                 observer(Increment(self, march))
             parted = removed and self._parted()
-            if self._ended(march, outcome.reaction):
-                status = "past_peak"
-                break
+            ended = self._ended(march, outcome.reaction)
+        if ended or parted:
+            status = "past_peak"
         if parted:
-            status, march.halvings = "past_peak", 0
+            march.halvings = 0
             march.rows.append(self._row(march, Equilibrium(True, 0, 0.0, 0.0, 0.0)))
         for observer in observers:
             getattr(observer, "finish", lambda: None)()
@@ -264,8 +265,9 @@ class _Test:
         self.state.commit()
         march.peak = max(march.peak, outcome.reaction)
         march.rows.append(self._row(march, outcome, lag))
-        march.choose_size(outcome.iterations, excess, self.settings.maximum_increment)
-        self.solver.maximum_iterations = self.settings.maximum_iterations
+        s = self.settings
+        march.choose_size(outcome.iterations, excess, s.minimum_increment, s.maximum_increment)
+        self.solver.maximum_iterations = s.maximum_iterations
 
     def _report(self, march: March, progress: Progress | None) -> None:
         row, reaction = march.rows[-1], self.load.reaction
@@ -319,7 +321,7 @@ class _Test:
             return 0.0
         mine = d.volumes * (d.owned & self.assembler.alive)[:, None]
         work = float(self.comm.allreduce(self.state.lagging_work(mine, self.laws)))
-        return work / (outcome.reaction * march.size * self.load.extent)
+        return work / float(outcome.reaction * march.size * self.load.extent)
 
     def _wanted_lag(self, march: March, outcome: Equilibrium) -> float:
         """How much f may lag: as the settings say; on the way down from the peak more."""

@@ -67,6 +67,21 @@ def test_checkpoint_of_a_finished_test_goes_on_to_larger_strain(tmp_path):
     assert on.force[-1] == pytest.approx(whole.force[-1], rel=1e-5)  # other increments
 
 
+def test_a_test_that_had_ended_is_over_when_it_is_resumed(tmp_path):
+    """Interrupted between its last increment and its result, past its peak or in two parts."""
+    points, cells = box((1, 1, 3), (1e-3, 1e-3, 3e-3))
+    middle = abs(points[cells, 2].mean(axis=1) - 1.5e-3) < 0.5e-3
+    for full_curve, most in ((False, 0.5), (True, 0.65)):
+        settings = TensileSettings("P1", maximum_strain=0.3, full_curve=full_curve)
+        test = (points, cells, np.where(middle, most, 0.0), MATERIAL, settings)
+        path = tmp_path / f"{most}.h5"
+        whole = tensile_test(*test, observers=[Checkpoint(path)])
+        resumed = tensile_test(*test, resume=path)
+        assert whole.status == resumed.status == "past_peak"
+        assert (whole.reaction[-1] == 0.0) == full_curve
+        np.testing.assert_array_equal(resumed.reaction, whole.reaction)
+
+
 def test_refuses_the_checkpoint_of_another_test(tmp_path):
     points, cells = box((1, 1, 2), (1e-3, 1e-3, 2e-3))
     settings = TensileSettings(element="P1", maximum_strain=0.004)

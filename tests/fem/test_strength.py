@@ -229,6 +229,9 @@ def test_refuses(change, words):
         (lambda: TensileSettings(element="P3"), "P1, P1-Fbar, P2"),
         (lambda: TensileSettings(maximum_strain=0.0), "maximum_strain"),
         (lambda: TensileSettings(linear_solver="magic"), "auto, mumps, gamg"),
+        (lambda: TensileSettings(lag_tolerance=0.0), "lag_tolerance"),
+        (lambda: TensileSettings(lag_tolerance=-0.1), "lag_tolerance"),
+        (lambda: TensileSettings(lag_tolerance=np.nan), "lag_tolerance"),
         (lambda: Material(43e9, 0.5, LAW), "poisson"),
         (lambda: Material(-1.0, 0.3, LAW), "young"),
         (lambda: Material(43e9, 0.3, LAW, coalescence=0.1), "together"),
@@ -342,6 +345,16 @@ def test_increments_follow_what_f_lags():
     assert coarse.peak_force > 1.1 * fine.peak_force  # measured 1.14 times
     # measured 0.18 %, of which the test itself expects 0.53 %
     assert 0 < chosen.peak_force / fine.peak_force - 1 < chosen.lag_at_peak < 0.006
+
+
+def test_a_lag_that_nothing_keeps_takes_the_smallest_increments():
+    settings = TensileSettings(
+        "P1", maximum_strain=0.02, lag_tolerance=5e-324, minimum_increment=1e-4, most_tried=60
+    )
+    result = tensile_test(*SMALL_BAR, 0.3, MAGNESIUM, settings)
+    assert result.status.startswith("stopped: 60 increments tried")
+    sizes = np.diff(result.elongation) / result.length
+    assert sizes.min() == pytest.approx(1e-4) and len(sizes) > 40
 
 
 @pytest.mark.parametrize("largest", [0.3, 0.45])
