@@ -41,11 +41,10 @@ class March:
         self.displacement = displacement
         self.strain += self.size
 
-    def choose_size(self, iterations: int, lag: float, smallest: float, largest: float) -> None:
+    def choose_size(self, iterations: int, excess: float, smallest: float, largest: float) -> None:
         """Size of the next increment by the last one's Newton iterations and lag; forget failures.
 
-        lag: over the one that is wanted; with f foreseen it grows with the square of the size. It
-        makes no increment smaller than `smallest`.
+        excess: the lag over the one wanted. It makes no increment smaller than `smallest`.
         """
         factor = 1.0
         if iterations <= _EASY and self.halvings == 0:
@@ -55,17 +54,17 @@ class March:
             factor = 0.7
         if self.size >= self.failed_size:
             self.failed_size = 0.0
-        self.size = min(self.size * factor, max(self.size * _by_lag(lag), smallest), largest)
+        self.size = min(self.size * factor, max(self.size * _by_lag(excess), smallest), largest)
         self.halvings, self.failures, self.shrunk, self.shortened = 0, 0, 1.0, 0
 
-    def shorten(self, lag: float, smallest: float) -> bool:
+    def shorten(self, excess: float, smallest: float) -> bool:
         """Take the increment anew, shorter, by its lag over the one wanted.
 
-        False, and nothing changed, where that has been done often enough or it is as small as that.
+        False, and nothing changed, where that was done _TIMES or it is not larger than `smallest`.
         """
         if self.shortened == _TIMES or self.size <= smallest:
             return False
-        self.size, self.shortened = max(self.size * _by_lag(lag), smallest), self.shortened + 1
+        self.size, self.shortened = max(self.size * _by_lag(excess), smallest), self.shortened + 1
         return True
 
     def halve(self, share: float = 0.5) -> None:
@@ -83,6 +82,6 @@ class March:
         self.failures, self.shrunk, self.previous = 0, 1.0, None
 
 
-def _by_lag(lag: float) -> float:
+def _by_lag(excess: float) -> float:
     """Factor of the size that makes the lag, of second order in it, the one wanted."""
-    return max(_SHORTEST, lag**-0.5) if lag > 0.0 else np.inf
+    return max(_SHORTEST, excess**-0.5) if excess > 0.0 else np.inf

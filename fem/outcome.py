@@ -44,9 +44,11 @@ class TensileResult:
 
     @property
     def lag_at_peak(self) -> float:
-        """How sure the peak is by its increments: share of it by which f lagging there may be off.
+        """Share of the peak by which it may be off because f lags there; 0 where f is implicit.
 
-        Within a factor of three of the difference to ever smaller increments (fem/MEASURED.md).
+        Measured of screws as 0.5 to 2.2 times the difference to ever smaller increments
+        (pipeline/MEASURED.md). It knows of the flow of that increment alone: where smaller ones
+        would have lost other cells on the way, the peak may be another.
         """
         return float(self.history["lag"][np.argmax(self.reaction)]) if self.history else 0.0
 

@@ -33,8 +33,9 @@ class TensileSettings:
     moment.
 
     lag_tolerance: share of the reaction that it may be off because f, which is foreseen, lags in an
-    increment (`fem.strength`); increments follow it, `maximum_increment` is the largest. inf: only
-    the iterations of Newton's method count.
+    increment (fem/README.md). Increments after `first_increment` are sized for it, between
+    `minimum_increment` and `maximum_increment`; one of four times as much is taken anew, shorter.
+    inf: only the iterations of Newton's method count.
 
     element: "P1", "P1-Fbar", "P2" or "P2-Fbar". The test ends at `maximum_strain`, or, unless
     `full_curve`, once the force has fallen by the fraction `peak_drop` below its peak, or after

@@ -40,7 +40,7 @@ log = logging.getLogger(__name__)
 
 _FAILURES = 4  # in a row, after which cells are taken as torn or Newton goes on for longer
 _AFTER_REMOVAL = 1 / 64  # of the size: with cells gone there is a jump to settle, whatever it is
-_LAGS = 4.0  # times the lag wanted: what an increment may have
+_LAGS = 4.0  # times the lag wanted: what an increment may have; also what is wanted past the peak
 _WELL_PAST = 0.25  # of the drop that ends a test: from there on the peak is known
 _KNOWN = 1e-3  # of the reaction: what it may be off past the peak (`Equilibrium.unbalanced`)
 
@@ -314,7 +314,7 @@ class _Test:
     def _lag(self, march: March, outcome: Equilibrium) -> float:
         """Share by which the reaction is off, as another f acted than that of the end.
 
-        What the plastic flow does more (`lagging_work`), the grips' motion does.
+        The work that the plastic flow would take more or less (`lagging_work`) is the grips'.
         """
         d = self.discretisation
         if self.settings.damage == "implicit" or not outcome.reaction > 0.0:

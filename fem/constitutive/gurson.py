@@ -17,12 +17,13 @@ adds f_N times the increment of a normal distribution in plastic strain. The pla
 sqrt(2/3 d^p : d^p) = sqrt(de_q^2 + 2/9 a^2), as (5.39). J2 is f = 0 in the same equations.
 f stays at most at `limit`, where the strength is RESIDUAL_STRENGTH of the intact one.
 
-LAGGED keeps f of the start of the step in R1 and R2 where pores grow, and updates it afterwards:
-the step is then that of a hardening metal without softening, whose equilibrium is unique and whose
-tangent is nearly symmetric; the error is of first order in the step (Newton finds the coupled
-equations' solution hardly ever once many points soften at the same time). Pores that close harden
-the metal, so there f is that of the end of the step: with the old one R1 would close more than
-there is, and no step of Newton's would end.
+LAGGED keeps f as it is given in R1 and R2 where pores grow, and updates it afterwards: the step is
+then that of a hardening metal without softening, whose equilibrium is unique and whose tangent is
+nearly symmetric (Newton finds the coupled equations' solution hardly ever once many points soften
+at the same time). With f of the start of the step the error is of first order, with f foreseen of
+its end (`QuadratureState.foresee`) of second. Pores that close harden the metal, so there f is that
+of the end of the step: with the old one R1 would close more than there is, and no step of Newton's
+would end.
 """
 
 from __future__ import annotations
@@ -319,8 +320,8 @@ def return_map(volume, mises, jacobian, strain, damage, material, kind, hardenin
     """Return the plastic step from an elastic trial state.
 
     volume: trial elastic volume strain; mises: trial equivalent Kirchhoff stress [Pa]; jacobian:
-    det F; strain, damage: plastic strain and f at the start of the step; material: parameter
-    vector; kind, hardening: the hardening law.
+    det F; strain: plastic strain at the start of the step; damage: f there, or the f that is to act
+    in the step (LAGGED); material: parameter vector; kind, hardening: the hardening law.
 
     Returns (a, beta, strain, f, flow, a_v, b_v, a_q, b_q): the solution, the new state, S, and
     the derivatives of a and beta by `volume` and `mises`. An elastic step gives a = 0, beta = 1

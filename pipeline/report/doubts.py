@@ -107,8 +107,8 @@ def checks(run: RunResults) -> list[dict[str, str]]:
         add(
             f"Largest {LOADS[run.scene.tensile.load].reaction}, by its increments",
             percent(worst, 2),
-            f"most at a peak, {case}: what f of the increment before it makes there; within a "
-            "factor of three it is the difference to ever smaller increments",
+            f"most at a peak, {case}: what f, foreseen from the increment before, misses there; "
+            "within a factor of three it is the difference to ever smaller increments",
             "lag_at_peak of tensile.json, each test",
         )
     gaps = [(_energy_gap(i), _case(run, a, i)) for a in everything for i in a.immersions]
