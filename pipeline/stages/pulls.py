@@ -123,12 +123,16 @@ class _Alone:
 
 
 class _Kept:
-    """A test in a child that can do others after it."""
+    """A test in a child that can do others after it; worker: gives one."""
 
-    def __init__(self, key: str, job: TensileJob, worker: Worker) -> None:
-        self.key, self.job, self.worker = key, job, worker
+    def __init__(self, key: str, job: TensileJob, worker: Callable[[], Worker]) -> None:
+        self.key, self.job, self._another = key, job, worker
         self.started = time.monotonic()
-        worker.begin(asdict(job))
+        self._ask()
+
+    def _ask(self) -> None:
+        self.worker = self._another()
+        self.worker.begin(asdict(self.job))
 
     def poll(self) -> int | None:
         """0 when the test is done, the child's exit status when it died of it, else None."""
@@ -137,7 +141,13 @@ class _Kept:
         try:
             self.worker.answer()
         except WorkerEndedError:
-            return self.worker.process.wait()
+            code = self.worker.process.wait()
+            if code != 0 or (Path(self.job.out) / LOG_FILE).exists():
+                return code or 1  # without an answer nothing is done
+            # nobody had asked it for long, and it was ending when it was: it has not begun
+            self.worker.close()
+            self._ask()
+            return None
         return 0
 
     def end(self) -> None:
@@ -270,7 +280,7 @@ class PullQueue:
         log = Path(job.out) / LOG_FILE
         log.unlink(missing_ok=True)
         if self._command is None:
-            return _Kept(key, job, self._crew.worker())
+            return _Kept(key, job, self._crew.worker)
         forget_others(job)
         with open(log, "wb") as said:
             return _Alone(

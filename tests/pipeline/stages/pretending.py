@@ -1,6 +1,8 @@
 """A child that pretends to pull, by the name of the job's folder, for the tests of pulls.
 
-bad: fails with a message; deaf: dies before it begins; hanging: writes its number and waits.
+bad: fails with a message; deaf: dies before it begins; hanging: writes its number and waits;
+late: ends before it begins, once, as one does that nobody has asked for long; mute: ends well, but
+without an answer.
 """
 
 import json
@@ -23,7 +25,12 @@ def pretend(job: dict) -> str:
     out = Path(job["out"])
     if out.name == "deaf":
         sys.exit("not a word was heard")
+    if out.name == "late" and not (out / "before").exists():
+        (out / "before").write_text(str(os.getpid()))
+        sys.exit(0)
     (out / LOG_FILE).write_text("begun\n")
+    if out.name == "mute":
+        sys.exit(0)
     if out.name == "bad":
         (out / LOG_FILE).write_text("begun\nno pivot\n")
         sys.exit(1)

@@ -96,6 +96,20 @@ def test_a_crew_is_kept_from_one_call_to_the_next_and_a_failure_costs_one_child(
         assert not Path("/proc", number).exists()
 
 
+def test_a_child_that_was_ending_when_it_was_asked_has_done_nothing(tmp_path, monkeypatch):
+    """Exit status 0 is no answer: another child does the test, or it failed where it had begun."""
+    monkeypatch.setattr(pulls, "_MODULE", PRETENDING)
+    done = []
+    with pytest.raises(TensileStageError, match="mute ended with exit status 1"):
+        run_jobs(
+            {name: job(tmp_path / name) for name in ("late", "mute")},
+            finished=lambda key, seconds: done.append(key),
+        )
+    assert done == ["late"]
+    first, second = ((tmp_path / "late" / name).read_text() for name in ("before", "by"))
+    assert first != second
+
+
 @pytest.mark.parametrize("element", ["P2", "none"])
 def test_a_child_that_compiles_ahead_then_pulls_and_its_failure_costs_no_test(
     tmp_path, monkeypatch, element
