@@ -197,24 +197,27 @@ def stefan_fronts(ratios: tuple[int, ...], rate_change: float) -> list[Result]:
     return results
 
 
-def stefan_depth(horizon: float, ratio: int, rate_change: float) -> float:
+def stefan_depth(
+    horizon: float, ratio: int, rate_change: float, normal: tuple[int, int] = (1, 0)
+) -> float:
     """Metal lost per area and C_solid (m) of steel whose mouth is held at zero, after 100 s."""
     spacing, deep = horizon / ratio, 1.2e-4
-    cells = np.arange(-ratio - 1, int(np.ceil((deep + 2 * horizon) / spacing)))
-    depth = (cells + 0.5) * spacing
-    seen = plate_layers(depth, 10 * deep, spacing, horizon, (1, 0))
+    apart = spacing / float(np.hypot(*normal))
+    count = np.ceil(np.array([horizon + 2 * spacing, deep + 2 * horizon]) / apart).astype(int)
+    depth = (np.arange(-count[0], count[1]) + 0.5) * apart
+    seen = plate_layers(depth, 10 * deep, spacing, horizon, normal)
     shape = seen.metal.fraction.shape
-    inside = np.clip(depth / spacing + ratio + 0.5, 0.0, 1.0).reshape(shape)
+    inside = plate_layers(depth + horizon, 10 * deep, spacing, horizon, normal).metal.fraction
     held = np.minimum(inside, 1.0 - seen.metal.fraction)
     scene = LayeredScene(
         Lattice((0.0,) * 3, (spacing,) * 3, shape), horizon, seen.metal.fraction > 0,
         interface_diffusivity=1e3 * _STEEL["liquid_diffusivity"], kinetics=ConstantRate(),
-        exposure=CellExposure(seen.metal, seen.liquid, inside, held), **_STEEL,
+        exposure=CellExposure(seen.metal, seen.liquid, inside, held), normal=normal, **_STEEL,
     )  # fmt: skip
     amount = corrode(scene, [_SECONDS], TimeStepping(rate_change=rate_change)).history[
         "metal_amount"
     ]
-    return float(amount[0] - amount[-1]) / (scene.solid_concentration * spacing**2)
+    return float(amount[0] - amount[-1]) / (scene.solid_concentration * spacing**3) * apart
 
 
 def plate_of(across: int, along: int) -> Surface:
