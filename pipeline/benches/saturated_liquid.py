@@ -94,7 +94,7 @@ def screw_setup(ratios: tuple[int, ...]) -> list[Result]:
 def screw_marches() -> list[Result]:
     """Processor time and errors of V_L of the lattices that are within 1 % to 56 days."""
     results = []
-    for alloy, ratio, target in (("Mg-5Gd", 2, "<= 2"), ("Mg-10Gd", 4, "<= 20")):
+    for alloy, ratio, target in (("Mg-5Gd", 2, "<= 2"), ("Mg-10Gd", 3, "<= 20")):
         settings = _settings(ratio, CLASSES, alloy)
         scene = _scene(settings, build_solid(settings), alloy)
         stepping = TimeStepping(rate_change=settings.corrosion.rate_change)

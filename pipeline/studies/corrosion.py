@@ -28,7 +28,7 @@ from peri.omissions.planning import plan_omissions
 from peri.omissions.well_stirred import well_stirred
 from pipeline.studies.cases import CLASSES, EXACT, HOUR, TIMES, Cases, March, Place
 
-POSITIONS = {2: 3, 3: 2, 4: 1, 6: 1}
+POSITIONS = {2: 5, 3: 5, 4: 5, 6: 1}
 """Positions of a lattice with rate classes, by horizon over spacing."""
 NODE_POSITIONS = {2: 1, 3: 1}
 """The same with one rate per node."""
