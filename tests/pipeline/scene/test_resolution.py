@@ -32,7 +32,7 @@ def test_each_preset_is_surer_than_the_one_before_it():
     errors = [RESOLUTIONS[name].corrosion_error.error for name in ("quick", "standard", "fine")]
     assert errors == sorted(errors, reverse=True)
     # What the presets were chosen for.
-    assert errors[0] <= 0.01 and errors[1] <= 0.006 and errors[2] <= 0.0045
+    assert errors[0] <= 0.01 and errors[1] <= 0.007 and errors[2] <= 0.0045
     # With one rate per node the same lattices err more, where that was measured.
     for preset in RESOLUTIONS.values():
         assert preset.node_error is None or preset.node_error.error > preset.corrosion_error.error
