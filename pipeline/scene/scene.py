@@ -322,7 +322,8 @@ class Scene:
             raise SceneError(
                 f"alloy {unknown[0]} has no corrosion constants, so it can be pulled (--immersion "
                 f"0w), not corroded ({last.label}); they stand in [corrosion] of an alloy's own "
-                "file (perilife alloy new) or in a set that --parameters names"
+                "file (the end of what `perilife alloy new` writes has some to begin with) or in a "
+                "set that --parameters names (`perilife calibrate` fits one to volume losses)"
             )
         check(bool(self.holds), "list of ways of holding", "empty", "at least one")
         ways = [hold.name for hold in self.holds]

@@ -1,6 +1,8 @@
 """The file of an alloy of one's own: filled in from the template, with constants and without."""
 
 import re
+import shlex
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -35,7 +37,7 @@ def filled_in(text: str, corrosion: bool = False) -> str:
     if corrosion:  # tables and keys, not the sentences
         text = re.sub(r'(?m)^# (\[|\w+ = ["\w])', r"\1", text)
     for table, value in VALUES.items():
-        pattern = rf'(?m)^(\[{re.escape(table)}\]\nvalue = )"{FILL_IN}"'
+        pattern = rf"(?m)^(\[{re.escape(table)}\]\nvalue = ).*$"
         text = re.sub(pattern, rf"\g<1>{value!r}", text)
     text = text.replace(f'source = "{FILL_IN}"', 'source = "hermann2024"')
     return re.sub(rf'(?m)^(\w+ = )"{FILL_IN}"', r'\1"here"', text)
@@ -62,6 +64,28 @@ def test_the_template_filled_in_is_an_alloy(tmp_path: Path) -> None:
     assert set(VALUES) - {"mass_fractions.Zn"} <= {
         name.replace("corrosion.parameters.", "corrosion.") for name in with_corrosion.quantities()
     }
+
+
+def test_the_file_says_with_what_a_fit_may_begin(tmp_path: Path) -> None:
+    text = filled_in(alloy_template("ZX10"))
+    command = re.search(r"(?m)^#     (sed -i .*) THIS-FILE.toml$", text)
+    path = written(tmp_path, text)
+    subprocess.run([*shlex.split(command[1]), str(path)], check=True)
+    own = perilife_data.load_alloy(path).corrosion
+    begun = perilife_data.load_parameter_set("table-5.1")
+    assert own.parameters.interface_diffusivity.si == 2.8779e-15
+    assert own.scene.diameter.si == begun.scene.diameter.si
+    kinds = {name: q.kind for name, q in own.quantities().items()}
+    assert kinds.pop("parameters.solid_concentration") == "derived"
+    assert set(kinds.values()) == {"assumed"}
+
+
+def test_the_source_that_the_file_shows_can_be_read(tmp_path: Path) -> None:
+    text = filled_in(alloy_template("ZX10")).replace("hermann2024", "our-report-12")
+    entry = re.search(r"(?ms)^# +(@misc.*?\n)# +}$", text)
+    (tmp_path / "references.bib").write_text(re.sub(r"(?m)^# +", "", entry[1]) + "}\n")
+    path = written(tmp_path, text)
+    assert perilife_data.load_alloy(path).young_modulus.source == "our-report-12"
 
 
 @pytest.mark.parametrize("key", ["title", "young_modulus", "q1"])

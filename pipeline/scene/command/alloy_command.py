@@ -44,4 +44,9 @@ def run_alloy(options: argparse.Namespace, say: Callable[[str], None]) -> None:
             "source and kind."
         )
     say("With [corrosion] it can be corroded, too; without, it can be pulled (--immersion 0w).")
+    if options.like is None:
+        say(
+            "To fit [corrosion] to your own volume losses, uncomment it (the file says how); then: "
+            f"perilife calibrate --alloy {path} --volume-loss {name}=FILE.csv --out fits/{name}"
+        )
     say(f"Then: perilife run --alloy {path} --immersion 0w --out runs/{name}")

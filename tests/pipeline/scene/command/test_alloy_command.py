@@ -43,12 +43,12 @@ def test_constants_of_the_alloys_own_file_are_taken(own):
     assert scene_from_json(scene.to_json()) == scene
     rows = {row.name: row for row in parameter_rows(scene) if row.section == "Corrosion"}
     assert rows["Interface diffusivity"].source == "hermann2024"
-    assert rows["Interface diffusivity"].where == "here"
+    assert rows["Interface diffusivity"].where == "Table 5.1, D_int, of Mg-5Gd"
     both = resolve_scene([own, "Mg-5Gd"], ["8w"])
     assert both.parameter_set == "table-5.1"
     assert both.alloys[1].corrosion.interface_diffusivity == 2.8779e-15
     kinds = {row.alloy: row.where for row in parameter_rows(both) if row.symbol == "D_int"}
-    assert kinds == {"ZX10": "here", "Mg-5Gd": "Table 5.1, D_int"}
+    assert kinds == {"ZX10": "Table 5.1, D_int, of Mg-5Gd", "Mg-5Gd": "Table 5.1, D_int"}
 
 
 def test_a_set_that_is_named_goes_before_the_file(own):
