@@ -29,7 +29,10 @@ _MECHANICS = {
     "charge_number": ("1", "of the dissolved ion: 2 of magnesium"),
     "young_modulus": ("GPa", ""),
     "poisson_ratio": ("1", ""),
-    "yield_stress": ("MPa", "0.2 % proof stress. The hardening curve (Voce) is fitted through these three."),
+    "yield_stress": (
+        "MPa",
+        "0.2 % proof stress. The hardening curve (Voce) is fitted through these three.",
+    ),
     "ultimate_tensile_strength": ("MPa", "engineering stress at maximum force"),
     "uniform_strain": ("1", "engineering strain at maximum force, not at fracture"),
     "q1": ("1", "damage 1/q1 leaves no strength; 1.5 of the Mg-Gd alloys"),

@@ -87,9 +87,9 @@ def read_volume_loss_csv(path: str | Path) -> VolumeLossData:
             raise ValueError(f"{where}: immersion time is {cell}; it must be at least 0")
         if time < earlier:
             raise ValueError(f"{where}: immersion time is {cell}, below the row before")
-    _check_range(losses, 0.0, 1.0, "volume loss", rows[1:], path)
-    if deviations is not None:
-        _check_range(deviations, 0.0, 1.0, "standard deviation", rows[1:], path)
+    for name, unit in columns:
+        if COLUMNS[name] == "dimensionless":
+            _check_fraction(data[name], name, unit, rows[1:], path)
     return VolumeLossData(times, losses, deviations, path)
 
 
@@ -132,13 +132,15 @@ def _numbers(
     return values
 
 
-def _check_range(
-    values: np.ndarray, low: float, high: float, name: str, rows: list, path: Path
-) -> None:
-    outside = np.flatnonzero((values < low) | (values > high))
+def _check_fraction(values: np.ndarray, name: str, unit: str, rows: list, path: Path) -> None:
+    outside = np.flatnonzero((values < 0.0) | (values > 1.0))
     if outside.size:
         first = int(outside[0])
         raise ValueError(
-            f"{path}, line {rows[first][0]}: {name} is {values[first]:g}; it must be between "
-            f"{low:g} and {high:g}, or given in [%]"
+            f"{path}, line {rows[first][0]}: {name} is "
+            + (
+                f"{values[first]:g}; it must be between 0 and 1, or given in [%]"
+                if unit == "1"
+                else f"{100 * values[first]:g} %; it must be between 0 and 100 %"
+            )
         )

@@ -16,6 +16,7 @@ from pipeline.geometry.surface import Solid
 from pipeline.record.bands import BandRow
 from pipeline.record.doubts import HoldDoubts, Source
 from pipeline.record.summary import SummaryRow
+from pipeline.scene.resolve import NO_PARAMETERS, OWN_PARAMETERS
 from pipeline.scene.scene import Scene, SceneError
 from pipeline.stages.corrosion import degradation_rate
 
@@ -38,6 +39,11 @@ def samples_of(scene: Scene, alloy: str, count: int) -> Samples:
 
     Raises SceneError for a set without samples, or with fewer.
     """
+    if scene.parameter_set in (OWN_PARAMETERS, NO_PARAMETERS):
+        raise SceneError(
+            "--samples is given without --parameters; it must go with a set that `perilife "
+            "calibrate` wrote, as --parameters fits/mine/parameters.toml"
+        )
     calibrations = perilife_data.load_parameter_set(scene.parameter_set).calibrations
     if alloy not in calibrations:
         raise SceneError(

@@ -66,9 +66,9 @@ def test_a_time_may_occur_more_than_once(tmp_path: Path) -> None:
         (HEADER + "inf,1,0\n", "line 2: immersion time is 'inf'"),
         (HEADER + "-1,1,0\n", "line 2: immersion time is -1; it must be at least 0"),
         (HEADER + "2,1,0\n\n1,1,0\n", "line 4: immersion time is 1, below the row before"),
-        (HEADER + "1,101,0\n", "line 2: volume loss is 1.01; it must be between 0 and 1"),
-        (HEADER + "1,-1,0\n", "line 2: volume loss is -0.01; it must be between 0 and 1"),
-        (HEADER + "1,1,-1\n", "line 2: standard deviation is -0.01"),
+        (HEADER + "1,101,0\n", "line 2: volume loss is 101 %; it must be between 0 and 100 %"),
+        (HEADER + "1,-1,0\n", "line 2: volume loss is -1 %; it must be between 0 and 100 %"),
+        (HEADER + "1,1,-1\n", "line 2: standard deviation is -1 %"),
         (
             "immersion time [d],volume loss [1]\n1,3.1\n",
             r"volume loss is 3.1; it must be between 0 and 1, or given in \[%\]",

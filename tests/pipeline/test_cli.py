@@ -83,6 +83,8 @@ from tests.pipeline.command_line import COARSE, PIN, SCENE, changed, refused, sc
         (changed("--np", "3"), ["--np is 3", "2 cores", "at most 2", "--oversubscribe"]),
         (changed("--pulls", "3"), ["--pulls is 3 and", "at most 2", "--oversubscribe"]),
         (changed("--np", "2", "--pulls", "2"), ["--pulls is 2 of 2 ranks each", "at most 1"]),
+        (changed("--ranks", "two"), ["--ranks is 'two'; it must be a whole number"]),
+        (changed("--until-left", "80%"), ["--until-left is '80%'; it must be a number without"]),
         (changed("--unit", "mm"), ["--unit", "--solid"]),
         (changed("--volume-loss", "mine.csv"), ["mine.csv", "ALLOY=FILE.csv"]),
         (changed("--volume-loss", "Mg-5Gd=absent.csv"), ["absent.csv", "no such file"]),

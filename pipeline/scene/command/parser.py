@@ -32,6 +32,10 @@ class OneSentenceParser(argparse.ArgumentParser):
 
     def error(self, message: str) -> None:
         """Refuse, with the nearest command or option where one was not understood."""
+        number = re.fullmatch(r"argument (.+): invalid (int|float) value: (.*)", message)
+        if number:
+            kind = {"int": "a whole number", "float": "a number without unit or per cent sign"}
+            message = f"{number[1]} is {number[3]}; it must be {kind[number[2]]}"
         unknown = re.search(r"(?:unrecognized arguments: |invalid choice: ')([^\s']+)", message)
         near = did_you_mean(unknown.group(1), self._names()) if unknown else ""
         raise ValueError(f"{message}{near}; see `{self.prog} --help`")

@@ -1,5 +1,6 @@
 """Bands of a run: what they need, and what they are on a coarse pin (slow: mechanical tests)."""
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -17,7 +18,7 @@ from pipeline.record.bands import BandRow, read_bands, write_bands
 from pipeline.record.doubts import read_doubts
 from pipeline.record.progress import Progress
 from pipeline.record.summary import read_summary
-from pipeline.scene.resolve import resolve_scene
+from pipeline.scene.resolve import OWN_PARAMETERS, resolve_scene
 from pipeline.scene.scene import SceneError
 from tests.pipeline.calibration.test_calibrate import COARSE, PIN
 
@@ -65,6 +66,9 @@ def test_sets_without_samples_are_refused_before_anything_is_made(tmp_path, caps
     assert main([*run, "--samples", "100"]) == 2
     assert "has no posterior of Mg-5Gd" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
+    own = replace(resolve_scene(["Mg-5Gd"], ["8w"]), parameter_set=OWN_PARAMETERS)
+    with pytest.raises(SceneError, match="without --parameters; it must go with a set"):
+        samples_of(own, "Mg-5Gd", 100)
 
 
 def test_more_samples_than_the_set_has_are_refused(fitted, tmp_path, capsys):
