@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaincinv
 
 import perilife_data
 from pipeline.calibration.calibrate import SAMPLES, Calibrated
@@ -33,7 +34,10 @@ _DAY = 86400.0
 def lines_of(found: Calibrated) -> list[str]:
     """What the fit found, for a person."""
     result = found.result
-    how = f"estimated from the residuals, {100 * result.deviations.mean():.2g} %-points"
+    how = (
+        f"estimated from the residuals, {100 * result.deviations.mean():.2g} %-points "
+        f"({_known_within(len(result.residuals) - len(result.logs))})"
+    )
     if not result.scatter_estimated:
         how = f"as given, {100 * result.deviations.mean():.2g} %-points on average"
     model = "marches"
@@ -69,6 +73,12 @@ def lines_of(found: Calibrated) -> list[str]:
     return lines + [f"  {sentence}" for sentence in found.sentences()]
 
 
+def _known_within(freedom: int) -> str:
+    """How well a scatter is known that was estimated with so many degrees of freedom."""
+    low, high = np.sqrt(freedom / (2.0 * gammaincinv(0.5 * freedom, [0.95, 0.05])))
+    return f"the true one is {low:.2g} to {high:.2g} times that, 5 to 95 %"
+
+
 def next_lines(
     found: Calibrated, candidates: NDArray[np.float64], wanted: float, label: str
 ) -> list[str]:
@@ -77,8 +87,15 @@ def next_lines(
     now, after = what_to_measure_next(
         found.model, found.result.logs, found.result.fisher(), candidates, wanted, deviation
     )
-    lines = [f"volume loss at {label}: standard deviation {100 * now:.2f} %-points; with one more"]
-    lines.append("measurement of the same scatter")
+    loss = float(found.model(np.array([wanted]), found.result.logs)[0][0])
+    last = found.result.measurements.times.max()
+    beyond = ""
+    if wanted > last:
+        beyond = f", later than the last measurement ({last / _DAY / 7:.3g} weeks): the law's alone"
+    lines = [
+        f"volume loss at {label}: {100 * loss:.1f} %{beyond}; standard deviation, of the scatter "
+        f"alone, {100 * now:.2f} %-points; with one more measurement of the same scatter"
+    ]
     for item in after:
         weeks = item.time / _DAY / 7
         lines.append(f"  after {weeks:4.3g} weeks: {100 * item.deviation:.2f} %-points")

@@ -1,5 +1,6 @@
 """An alloy's own file in a scene: constants of its own, none at all, and the file to fill in."""
 
+import re
 from dataclasses import asdict
 
 import pytest
@@ -123,6 +124,11 @@ def test_measured_losses_become_constants_begun_from_those_of_the_file(own, tmp_
     fit = tmp_path / "fit"
     arguments = ["calibrate", "--alloy", own, "--volume-loss", loss, *PIN, *coarse]
     assert main([*arguments, "--out", str(fit), "--quiet"]) == 0
+    said = capsys.readouterr().out
+    # chi-square of two degrees of freedom: 0.1026 and 5.991 (tables), sqrt(2/5.991), sqrt(2/0.1026)
+    assert "(the true one is 0.58 to 4.4 times that, 5 to 95 %)" in said
+    at_12w = re.search(r"volume loss at 12w: (\S+) %, later than the last measurement \(4 w", said)
+    assert 9 < float(at_12w[1]) < 40  # above the loss of four weeks
     (path,) = fit.glob("*.toml")
     fitted = perilife_data.load_parameter_set(path).for_alloy("ZX10")
     assert fitted.interface_diffusivity.kind == "fitted"
