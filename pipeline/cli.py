@@ -29,6 +29,7 @@ from pipeline.scene.command.alloy_command import add_alloy_options
 from pipeline.scene.command.options import add_scene_options
 from pipeline.scene.command.parser import OneSentenceParser
 from pipeline.scene.command.scene_file import KINDS, localised_kind, take_scene_file
+from pipeline.scene.holding import held_in_words
 from pipeline.scenes.command import add_scenes_options
 from pipeline.studies.command import add_study_options
 
@@ -198,6 +199,10 @@ def _run(options: argparse.Namespace) -> int:
         print(json.dumps(told(folder, scene, rows), indent=2))
         return 0
     print_summary(rows)
+    for hold in scene.holds:
+        grips = hold.tensile.bottom_grip, hold.tensile.top_grip
+        print(f"{hold.name}: {held_in_words(hold.name, *grips)}")
+    print("strength ratio: to the same solid, held alike, before immersion")
     if options.samples is not None:
         from pipeline.record.bands import BANDS_FILE, print_bands, read_bands
 
@@ -210,7 +215,7 @@ def _run(options: argparse.Namespace) -> int:
             print(f"  {row.in_words()}")
     print(f"\ntable:  {folder.summary_file}")
     if folder.report_file.exists():
-        print(f"report: {folder.report_file}")
+        print(f"report: {folder.report_file} (how sure the numbers are, and what was assumed)")
     return 0
 
 

@@ -85,14 +85,15 @@ def read_bands(path: Path) -> list[BandRow]:
 def print_bands(rows: list[BandRow]) -> None:
     """Print the rows for a reader."""
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     title = f"{LEVELS[0]} to {LEVELS[-1]} % of the samples of the constants (middle)"
     table = Table(title=title)
     for name in ("alloy", "hold", "immersion [d]"):
-        table.add_column(name)
+        table.add_column(escape(name))
     for name in ("volume loss [%]", "degradation rate [mm/year]", "strength left [%]"):
-        table.add_column(name, justify="right")
+        table.add_column(escape(name), justify="right")
     for row in rows:
         shown = [
             f"{low:.{digits}f} to {high:.{digits}f} ({middle:.{digits}f})"

@@ -113,13 +113,15 @@ def shown(rows: Sequence[SummaryRow]) -> tuple[list[str], list[list[str]]]:
 def print_summary(rows: Sequence[SummaryRow], stream: TextIO | None = None) -> None:
     """Print the rows, all of one load, for a reader; on stdout where no stream is given."""
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     stream = stream or sys.stdout
     table = Table(title=f"Residual {LOADS[rows[0].load].strength}")
     titles, cells = shown(rows)
     for title in titles:
-        table.add_column(title, justify="left" if title in ("alloy", "hold", "status") else "right")
+        side = "left" if title in ("alloy", "hold", "status") else "right"
+        table.add_column(escape(title), justify=side)
     for row in cells:
         table.add_row(*row)
     Console(file=stream, width=None if stream.isatty() else 120).print(table)
