@@ -274,11 +274,11 @@ class StagedRun:
 
     def _warn(self, tests: Iterable[Test]) -> None:
         """Say what the cells of the tests get wrong."""
-        from pipeline.stages.plan import shear_locking
+        from pipeline.stages.locking import locking
 
         for hold in dict.fromkeys(test[2] for test in tests):
-            for wrong in shear_locking(hold.tensile):
-                self.progress.note(f"{wrong.reason}: {wrong.error}; better --element P2")
+            for _, why, error in locking(hold.tensile):
+                self.progress.note(f"{why}: {error}; better --element P2")
 
     def _jobs(self, tests: Iterable[Test], mapped: bool = True) -> dict[str, TensileJob]:
         """The tests that are not complete, by key; their records are dropped.

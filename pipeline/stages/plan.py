@@ -16,12 +16,12 @@ from pipeline.record import machine
 from pipeline.scene.classes import one_rate_because
 from pipeline.scene.loads import LOADS
 from pipeline.scene.mapping import by_nodes_because
-from pipeline.scene.mechanics import TensileScene
 from pipeline.scene.scene import HoldScene, Scene, ScrewGeometry
 from pipeline.scene.units import format_bytes, format_length, format_seconds
 from pipeline.stages.beside import Task, saved
 from pipeline.stages.corrosion import domain_lattice, liquid_domain, march_omissions
 from pipeline.stages.ion_memory import ion_memory
+from pipeline.stages.locking import locking
 from pipeline.stages.rank_memory import rank_memory
 from pipeline.stages.sizes import check_screw, check_sizes
 
@@ -439,20 +439,6 @@ def interpolated(because: str) -> LeftOut:
     )
 
 
-def shear_locking(test: TensileScene) -> list[LeftOut]:
-    """What a twist or bending of four-node cells gets wrong; nothing for any other test."""
-    if test.load == "axial" or ELEMENTS[test.element].order > 1:
-        return []
-    return [
-        LeftOut(
-            "shear within a cell",
-            f"slender four-node cells ({test.element}) lock in shear, ten-node ones do not",
-            f"the {LOADS[test.load].reaction} is too large: of a plastic bar in torsion by 59 % "
-            "with P1, 7 % with P1-Fbar (fem/README.md)",
-        )
-    ]
-
-
 def _tensile_departures(scene: Scene) -> list[LeftOut]:
     """Where the tensile test does less than the source, or something else."""
     test = scene.tensile
@@ -472,7 +458,7 @@ def _tensile_departures(scene: Scene) -> list[LeftOut]:
             f"a {names.reaction} that still rises then counts as the peak",
         )
     )
-    found += shear_locking(test)
+    found += [LeftOut(*words) for words in locking(test)]
     for hold in scene.holds:
         bottom, top = hold.tensile.bottom_grip, hold.tensile.top_grip
         if bottom > 0 or top > 0:
