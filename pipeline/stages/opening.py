@@ -1,5 +1,6 @@
 """Opening a run folder: everything that can be refused is refused before anything is written."""
 
+import math
 import os
 import shutil
 from collections.abc import Iterable, Iterator
@@ -138,32 +139,42 @@ def check_folder(folder: RunFolder, scene: Scene, resume: bool) -> None:
 
 
 def difference(stored: Scene, asked: Scene) -> str:
-    """The first field in which two scenes differ, with both values."""
-    found = _first_difference(stored.to_json(), asked.to_json(), "")
-    if found is None:
+    """A field in which two scenes differ, with both values, and how many do.
+
+    What was typed goes before the constants of the alloys that follow from it, round-off last.
+    """
+    found = sorted(
+        _differences(stored.to_json(), asked.to_json(), ""),
+        key=lambda entry: (_round_off(*entry[1:]), entry[0].startswith("alloys[")),
+    )
+    if not found:
         return "no field differs"
-    name, there, here = found
-    return f"{name} is {there} there and {here} here"
+    name, there, here = found[0]
+    more = f"; {len(found)} fields differ" if len(found) > 1 else ""
+    return f"{name} is {_brief(there)} there and {_brief(here)} here{more}"
 
 
-def _first_difference(a: object, b: object, name: str) -> tuple[str, object, object] | None:
+def _differences(a: object, b: object, name: str) -> Iterator[tuple[str, object, object]]:
     if isinstance(a, dict) and isinstance(b, dict):
         for key in sorted({*a, *b}):
-            inner = f"{name}.{key}" if name else key
-            found = _first_difference(a.get(key), b.get(key), inner)
-            if found is not None:
-                return found
-        return None
-    if isinstance(a, list) and isinstance(b, list) and len(a) == len(b):
+            yield from _differences(a.get(key), b.get(key), f"{name}.{key}" if name else key)
+    elif isinstance(a, list) and isinstance(b, list) and len(a) == len(b):
         for number, (x, y) in enumerate(zip(a, b, strict=True)):
-            found = _first_difference(x, y, f"{name}[{number}]")
-            if found is not None:
-                return found
-        return None
-    if a == b:
-        return None
-    brief = [f"{len(v)} entries" if isinstance(v, list | dict) else repr(v) for v in (a, b)]
-    return (name, *brief)
+            yield from _differences(x, y, f"{name}[{number}]")
+    elif a != b:
+        yield name, a, b
+
+
+def _round_off(a: object, b: object) -> bool:
+    return isinstance(a, float) and isinstance(b, float) and math.isclose(a, b, rel_tol=1e-12)
+
+
+def _brief(value: object) -> str:
+    if not isinstance(value, list | dict):
+        return repr(value)
+    if isinstance(value, list) and value and all("label" in entry for entry in value):
+        return " ".join(str(entry["label"]) for entry in value)
+    return f"{len(value)} entries"
 
 
 def _remove(path: Path, created: list[Path]) -> None:

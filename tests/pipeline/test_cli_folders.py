@@ -3,6 +3,7 @@
 import json
 import os
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,7 @@ from pipeline.record.run_folder import RunFolder
 from pipeline.scene.resolution import RESOLUTIONS
 from pipeline.stages import readiness
 from pipeline.stages.geometry import build_solid
-from pipeline.stages.opening import open_run
+from pipeline.stages.opening import difference, open_run
 from tests.pipeline.command_line import SCENE, STAGES, changed, refused, scene_of
 
 
@@ -123,6 +124,12 @@ def test_a_run_folder_of_another_scene_is_refused_and_untouched(tmp_path, capsys
     words = f"corrosion.rate_change is {quick:g} there and 0.3 here"
     refused(capsys, other, "another scene", words)
     assert folder.scene_file.read_text() == before
+    asked = scene_of(SCENE)
+    (alloy,) = asked.alloys
+    material = replace(alloy.material, q1=1.5 * (1 + 1e-15))
+    near = replace(asked, alloys=(replace(alloy, material=material),))
+    later = replace(near, immersion=scene_of(changed("--immersion", "12w")).immersion)
+    assert difference(asked, later).startswith("immersion is 0w 8w there and 12w here; 2 fields")
 
 
 def test_the_same_scene_is_reopened_with_resume(tmp_path):
