@@ -273,11 +273,12 @@ class StagedRun:
         return [record for record in records if record is not None]
 
     def _warn(self, tests: Iterable[Test]) -> None:
-        """Say what the cells of the tests get wrong."""
+        """Say what cells that were asked for get wrong; end faces have their own, as published."""
         from pipeline.stages.locking import locking
 
+        asked = self.scene.tensile.element
         for hold in dict.fromkeys(test[2] for test in tests):
-            for _, why, error in locking(hold.tensile):
+            for _, why, error in locking(hold.tensile) if hold.tensile.element == asked else ():
                 self.progress.note(f"{why}: {error}; better --element P2")
 
     def _jobs(self, tests: Iterable[Test], mapped: bool = True) -> dict[str, TensileJob]:

@@ -1,7 +1,10 @@
 """Cells that lock are named, with what that does to the peak; others are not."""
 
+from types import SimpleNamespace
+
 import pytest
 
+from pipeline.life_cycle import StagedRun
 from pipeline.stages.locking import locking
 from tests.pipeline.command_line import changed, scene_of
 
@@ -22,3 +25,13 @@ def test_what_locks_is_said(element, load, what):
     said = locking(scene.tensile)
     assert len(said) == (what is not None)
     assert what is None or (what in said[0][0] and "too large" in said[0][2])
+
+
+@pytest.mark.parametrize(("words", "notes"), [((), 0), (("--element", "P1"), 3)])
+def test_a_run_says_so_of_cells_that_were_asked_for_alone(words, notes):
+    """End faces are pulled with P1 cells as published, whatever the others have."""
+    scene, said = scene_of(changed("--hold", "all", *words)), []
+    assert "P1" in {hold.tensile.element for hold in scene.holds}
+    run = SimpleNamespace(scene=scene, progress=SimpleNamespace(note=said.append))
+    StagedRun._warn(run, [("Mg-5Gd", None, hold) for hold in scene.holds])
+    assert len(said) == notes
