@@ -236,8 +236,8 @@ def _init(options: argparse.Namespace) -> int:
 
 def _geometry(options: argparse.Namespace) -> int:
     from pipeline.life_cycle import StagedRun
+    from pipeline.planning.opening import open_run
     from pipeline.record.progress import progress_for
-    from pipeline.stages.opening import open_run
 
     scene, solid = fitting_scene(options)
     stages = ("geometry", "corrode", "map")
@@ -282,8 +282,8 @@ def _stages(options: argparse.Namespace, action: Callable, stage: str = "") -> i
     stage: the one for which the machine is checked first.
     """
     from pipeline.life_cycle import StagedRun
+    from pipeline.planning.opening import check_stage, read_run
     from pipeline.record.progress import progress_for
-    from pipeline.stages.opening import check_stage, read_run
 
     folder, scene = read_run(options.out)
     names = getattr(options, "alloy", None) or [alloy.name for alloy in scene.alloys]
@@ -329,11 +329,11 @@ def _plan(options: argparse.Namespace) -> int:
 
         plan_file(options, print)
         return 0
+    from pipeline.planning.plan import make_plan, print_plan
+    from pipeline.planning.readiness import examine_machine, print_checks
+    from pipeline.planning.sizes import check_screw
     from pipeline.record.machine import check_counts
     from pipeline.stages.geometry import build_solid
-    from pipeline.stages.plan import make_plan, print_plan
-    from pipeline.stages.readiness import examine_machine, print_checks
-    from pipeline.stages.sizes import check_screw
 
     check_counts(options.np, options.pulls, options.oversubscribe)
     check_counts(options.ranks, None, options.oversubscribe, "--ranks")

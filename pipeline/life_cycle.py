@@ -54,7 +54,7 @@ def run_life_cycle(
     Returns the rows of summary.csv.  Raises ValueError, OSError or MemoryError with one sentence
     for what cannot be computed, TensileStageError for a tensile test without a result.
     """
-    from pipeline.stages.opening import open_run
+    from pipeline.planning.opening import open_run
 
     path = out.path if isinstance(out, RunFolder) else out
     stages = ("geometry", "corrode", "map", "pull")
@@ -191,7 +191,7 @@ class StagedRun:
 
     def _expected(self) -> tuple[dict[str, float], int]:
         """Seconds that a test takes by way of holding, and tests that a march leaves room for."""
-        from pipeline.stages.foreseen import pull_seconds, room_beside_march
+        from pipeline.planning.foreseen import pull_seconds, room_beside_march
         from pipeline.stages.geometry import read_surface
 
         if self._foreseen is None:
@@ -274,7 +274,7 @@ class StagedRun:
 
     def _warn(self, tests: Iterable[Test]) -> None:
         """Say what cells that were asked for get wrong; end faces have their own, as published."""
-        from pipeline.stages.locking import locking
+        from pipeline.planning.locking import locking
 
         asked = self.scene.tensile.element
         for hold in dict.fromkeys(test[2] for test in tests):

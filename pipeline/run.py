@@ -70,7 +70,7 @@ def fitting_scene(options: argparse.Namespace) -> tuple[Scene, object]:
     scene = scene_of(options)
     if options.spacing != "auto":
         return scene, None
-    from pipeline.stages.sizes import with_fitting_spacing
+    from pipeline.planning.sizes import with_fitting_spacing
 
     return with_fitting_spacing(scene)
 

@@ -42,7 +42,7 @@ class Results:
     """
 
     def __init__(self, folder: Path | str, alloy: str | None = None, hold: str | None = None):
-        from pipeline.stages.opening import read_run as open_folder
+        from pipeline.planning.opening import read_run as open_folder
 
         self._run_folder: RunFolder
         self.scene: Scene

@@ -22,10 +22,10 @@ from peri.engine.march.marching import March, TimeStepping, march
 from peri.engine.processes import ONE_PROCESS, OneProcess
 from peri.transport.nernst_planck import TransportOptions
 from pipeline.benches.result import Result
+from pipeline.planning.ion_memory import march_bytes
+from pipeline.planning.plan import BASE_MEMORY
 from pipeline.scene.laws.ions import resolve_ions
-from pipeline.stages.ion_memory import march_bytes
 from pipeline.stages.ions import medium_of
-from pipeline.stages.plan import BASE_MEMORY
 
 STEP = 3 * 3600.0
 STEPS_OF_3_H = TimeStepping(step=STEP)

@@ -242,7 +242,7 @@ def run_with_bands(
     if surrogate is not None:
         check(FIRST <= surrogate <= 400, "--surrogate", surrogate, f"from {FIRST} to 400")
         require_kriging()
-    from pipeline.stages.opening import open_run
+    from pipeline.planning.opening import open_run
 
     for alloy in scene.alloys:
         samples_of(scene, alloy.name, samples)

@@ -29,6 +29,7 @@ from pipeline.campaigns.banded import samples_of
 from pipeline.campaigns.engines import ENGINES
 from pipeline.campaigns.store import StoreFolder
 from pipeline.campaigns.task import Task, do_task
+from pipeline.planning.plan import make_plan
 from pipeline.record.run_folder import RunFolder, write_text
 from pipeline.record.stage_hashes import corrosion_hash, geometry_hash, map_hash, pull_hash
 from pipeline.scene.command.arguments import arguments_of, options_of, unknown_name
@@ -36,7 +37,6 @@ from pipeline.scene.command.options import add_scene_options, scene_from_options
 from pipeline.scene.loads import LOADS
 from pipeline.scene.scene import Scene
 from pipeline.scene.units import ImmersionTime
-from pipeline.stages.plan import make_plan
 
 STORE_FOLDER = "store"
 CAMPAIGN_FILE = "campaign.csv"

@@ -34,13 +34,13 @@ from pipeline.campaigns.options import COATING
 from pipeline.campaigns.strength import CURVE_FOLDER, CurveTests, curve_to
 from pipeline.campaigns.varied import Choice, Range, changed, read_vary
 from pipeline.life_cycle import StagedRun
+from pipeline.planning.opening import open_run
 from pipeline.record.machine import processor_cores
 from pipeline.record.progress import Progress
 from pipeline.record.run_folder import StageRecord, write_text
 from pipeline.scene.command.options import scene_from_options
 from pipeline.scene.scene import Scene, SceneError
 from pipeline.scene.units import parse_time
-from pipeline.stages.opening import open_run
 
 SAMPLES = 400
 DESIGN_FILE = "design.csv"

@@ -316,7 +316,7 @@ def run_until(
     solid: object = None,
 ) -> list[SummaryRow]:
     """`run_life_cycle` with until.csv."""
-    from pipeline.stages.opening import open_run
+    from pipeline.planning.opening import open_run
 
     stages = ("geometry", "corrode", "map", "pull")
     with open_run(scene, out, resume, solid=solid, stages=stages, ranks=ranks, workers=workers) as (

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from pipeline.planning.plan import interpolated, scene_omissions
 from pipeline.record.run_results import AlloyResult, ImmersionResult, RunResults, column
 from pipeline.report.wording import duration, percent
 from pipeline.scene.errors import MEASURED, corrosion_error, tensile_error
@@ -18,7 +19,6 @@ from pipeline.scene.scene import (
     ScrewGeometry,
 )
 from pipeline.scene.units import format_length, format_seconds, parse_time
-from pipeline.stages.plan import interpolated, scene_omissions
 
 _MISSED = {
     NODES: "what interpolation from the lattice to the mesh does to the damage",

@@ -17,10 +17,10 @@ from pipeline.record.options import add_ranks_options
 
 if TYPE_CHECKING:
     from peri.engine.omission import Omission
+    from pipeline.planning.rank_memory import RankMemory
     from pipeline.record.run_folder import RunFolder
     from pipeline.scenes.files import SceneFile
     from pipeline.scenes.outcome import Prepared
-    from pipeline.stages.rank_memory import RankMemory
 
 OF_A_FILE = (
     "scene", "out", "quiet", "resume", "json", "spacing", "immersion", "ranks", "oversubscribe",
@@ -173,8 +173,8 @@ def _check_ranks(options: argparse.Namespace, name: str, ready: Prepared) -> Non
 
 def march_memory(ready: Prepared, ranks: int) -> RankMemory | None:
     """What a scene's march takes on so many ranks; None where it has no lattice."""
-    from pipeline.stages.plan import BASE_MEMORY
-    from pipeline.stages.rank_memory import rank_memory
+    from pipeline.planning.plan import BASE_MEMORY
+    from pipeline.planning.rank_memory import rank_memory
 
     if not ready.nodes:
         return None

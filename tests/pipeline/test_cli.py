@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 import perilife_data
+from pipeline.planning.sizes import with_fitting_spacing
 from pipeline.record import machine
 from pipeline.scene.resolution import RESOLUTIONS
-from pipeline.stages.sizes import with_fitting_spacing
 from tests.pipeline.command_line import COARSE, PIN, SCENE, changed, refused, scene_of
 
 

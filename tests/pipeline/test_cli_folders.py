@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 
 from pipeline.cli import main
+from pipeline.planning import readiness
+from pipeline.planning.opening import difference, open_run
 from pipeline.record import machine
 from pipeline.record.run_folder import RunFolder
 from pipeline.scene.resolution import RESOLUTIONS
-from pipeline.stages import readiness
 from pipeline.stages.geometry import build_solid
-from pipeline.stages.opening import difference, open_run
 from tests.pipeline.command_line import SCENE, STAGES, changed, refused, scene_of
 
 

@@ -15,6 +15,7 @@ from pipeline.export.inp import damage_classes, write_inp
 from pipeline.export.state import CorrodedState, read_state
 from pipeline.geometry.mesh import cell_volumes
 from pipeline.life_cycle import StagedRun
+from pipeline.planning.opening import open_run
 from pipeline.scene.resolve import resolve_scene
 from pipeline.scene.scene import (
     DomainSettings,
@@ -26,7 +27,6 @@ from pipeline.scene.scene import (
 )
 from pipeline.scene.screw import ScrewParameters
 from pipeline.scene.units import ImmersionTime
-from pipeline.stages.opening import open_run
 from tests.fem.meshes import box
 
 

@@ -9,13 +9,13 @@ from peri.corrosion.run import corrode
 from peri.engine.lattice import Lattice
 from peri.engine.march.marching import TimeStepping
 from pipeline.geometry.surface import solid_of_surface
+from pipeline.planning.plan import scene_omissions
 from pipeline.scene.classes import one_rate_because
 from pipeline.scene.resolve import resolve_scene
 from pipeline.scene.scene import SceneError
 from pipeline.stages import corrosion as stage
 from pipeline.stages.by_nodes import by_nodes
 from pipeline.stages.exposure import share_of_ball, share_of_cylinder, solid_exposure
-from pipeline.stages.plan import scene_omissions
 from tests.peri.bodies import ball
 
 LATTICE = Lattice((-1.13, -1.02, -1.07), (0.11, 0.11, 0.11), (21, 20, 21))

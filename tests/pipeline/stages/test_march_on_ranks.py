@@ -7,13 +7,13 @@ import pytest
 
 from pipeline.api.life_cycle import LifeCycle
 from pipeline.cli import main
+from pipeline.planning.plan import BASE_MEMORY, make_plan
 from pipeline.scene.laws.feedback import FeedbackSettings
 from pipeline.scene.laws.ions import resolve_ions
 from pipeline.scene.resolve import resolve_scene
 from pipeline.stages.corrosion import corrode_in_folder
 from pipeline.stages.march_on_ranks import corrode_on_ranks
 from pipeline.stages.on_ranks import MarchError
-from pipeline.stages.plan import BASE_MEMORY, make_plan
 from tests.pipeline.calibration.test_calibrate import COARSE, PIN
 from tests.pipeline.command_line import refused
 

@@ -9,6 +9,7 @@ import perilife_data
 from perilife_data.template import alloy_template
 from pipeline.cli import main
 from pipeline.life_cycle import StagedRun
+from pipeline.planning.opening import open_run
 from pipeline.report.provenance import parameter_rows
 from pipeline.scene.resolve import NO_PARAMETERS, OWN_PARAMETERS, resolve_scene
 from pipeline.scene.scene import (
@@ -19,7 +20,6 @@ from pipeline.scene.scene import (
     scene_from_json,
 )
 from pipeline.scene.screw import ScrewParameters
-from pipeline.stages.opening import open_run
 from tests.data.test_own_alloy import filled_in
 from tests.pipeline.command_line import PIN, refused
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from pipeline.life_cycle import StagedRun
-from pipeline.stages.locking import locking
+from pipeline.planning.locking import locking
 from tests.pipeline.command_line import changed, scene_of
 
 

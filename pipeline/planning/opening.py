@@ -34,9 +34,9 @@ def open_run(
 
     Raises ValueError, OSError or MemoryError with one sentence.
     """
+    from pipeline.planning.readiness import check_machine
+    from pipeline.planning.sizes import check_screw
     from pipeline.stages.geometry import build_solid, read_surface
-    from pipeline.stages.readiness import check_machine
-    from pipeline.stages.sizes import check_screw
 
     check_screw(scene)
     folder = RunFolder(out)
@@ -69,8 +69,8 @@ def check_stage(
 
     Nothing is looked at where the geometry is not complete, without which the stage is refused.
     """
+    from pipeline.planning.readiness import check_machine
     from pipeline.stages.geometry import read_surface
-    from pipeline.stages.readiness import check_machine
 
     ready = folder.complete(folder.geometry, "geometry", geometry_hash(scene))
     if ready and not all_pulled(folder, scene):

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.geometry.surface import Solid
+from pipeline.planning.beside import Task
+from pipeline.planning.plan import BASE_MEMORY, Plan, make_plan
+from pipeline.planning.sizes import CELLS_PER_FEATURE, typed
 from pipeline.record import children, machine
 from pipeline.scene.checks import at_most
 from pipeline.scene.scene import Scene
 from pipeline.scene.units import format_bytes
-from pipeline.stages.beside import Task
-from pipeline.stages.plan import BASE_MEMORY, Plan, make_plan
-from pipeline.stages.sizes import CELLS_PER_FEATURE, typed
 
 PROBE_SECONDS = 120.0
 

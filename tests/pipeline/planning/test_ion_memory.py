@@ -8,7 +8,7 @@ import pytest
 from peri.engine.march.marching import TimeStepping, march
 from peri.transport.chemistry import composition
 from pipeline.benches import ions
-from pipeline.stages.ion_memory import march_bytes
+from pipeline.planning.ion_memory import march_bytes
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import pytest
 
+from pipeline.planning.beside import Task, room, saved
 from pipeline.record import machine
-from pipeline.stages.beside import Task, room, saved
 
 TIMES = 6
 

@@ -12,18 +12,18 @@ from peri.engine.influence import diffusion_stencil
 from peri.engine.omission import Omission
 from peri.omissions.names import OMITTABLE
 from pipeline.geometry.surface import Solid
+from pipeline.planning.beside import Task, saved
+from pipeline.planning.ion_memory import ion_memory
+from pipeline.planning.locking import locking
+from pipeline.planning.rank_memory import rank_memory
+from pipeline.planning.sizes import check_screw, check_sizes
 from pipeline.record import machine
 from pipeline.scene.classes import one_rate_because
 from pipeline.scene.loads import LOADS
 from pipeline.scene.mapping import by_nodes_because
 from pipeline.scene.scene import HoldScene, Scene, ScrewGeometry
 from pipeline.scene.units import format_bytes, format_length, format_seconds
-from pipeline.stages.beside import Task, saved
 from pipeline.stages.corrosion import domain_lattice, liquid_domain, march_omissions
-from pipeline.stages.ion_memory import ion_memory
-from pipeline.stages.locking import locking
-from pipeline.stages.rank_memory import rank_memory
-from pipeline.stages.sizes import check_screw, check_sizes
 
 BASE_MEMORY = 400e6
 """Bytes of an idle process with the libraries loaded (measured)."""

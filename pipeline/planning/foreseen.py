@@ -1,9 +1,9 @@
 """What a run goes by when it pulls beside other work: how long a test takes, how many fit."""
 
 from pipeline.geometry.surface import Solid
+from pipeline.planning.beside import room
+from pipeline.planning.plan import make_plan, mesh_counts, seconds_of_test
 from pipeline.scene.scene import HoldScene, Scene
-from pipeline.stages.beside import room
-from pipeline.stages.plan import make_plan, mesh_counts, seconds_of_test
 
 
 def pull_seconds(scene: Scene, solid: Solid, hold: HoldScene) -> float:
