@@ -13,6 +13,7 @@ from math import isfinite
 from pathlib import Path
 
 from . import limits
+from .kinds_of_files import refuse_another_kind
 from .limits import Limits
 from .names import did_you_mean
 from .references import FOLDER, Reference, read_references, shipped_references
@@ -215,7 +216,7 @@ def shipped(folder: str) -> dict[str, Path]:
 def path_of(folder: str, what: str, name: str | Path) -> Path:
     """Return the path of a shipped file by its name, or the path given."""
     if isinstance(name, Path) or name.endswith(".toml"):
-        return Path(name)
+        return refuse_another_kind(what, Path(name))
     if name not in shipped(folder):
         near = did_you_mean(name, shipped(folder))
         raise ValueError(

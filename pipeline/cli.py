@@ -226,11 +226,14 @@ def _init(options: argparse.Namespace) -> int:
         init_file(options, lambda text: print(text, end=""))
         return 0
     import perilife_data
+    from pipeline.scene.command.arguments import check_units, options_of
     from pipeline.scene.command.template import write_template
 
+    parser = every_option()
     for name in options.alloy or ():
         perilife_data.load_alloy(name)  # refuses what no run could use
-    print(write_template(every_option(), options), end="")
+    check_units(options_of(parser), options)
+    print(write_template(parser, options), end="")
     return 0
 
 

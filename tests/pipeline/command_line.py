@@ -12,6 +12,10 @@ STAGES = ("geometry", "corrode", "map", "pull")
 SCENE = ["--alloy", "Mg-5Gd", "--immersion", "0w", "8w", *PIN]
 
 
+QUANTITIES = {"LENGTH": "200um", "TIME": "6h", "T": "2w", "ANGLE": "30deg", "VOLUME": "50mL"}
+"""Metavariable -> something of its dimension, as typed."""
+
+
 def refused(capsys, arguments: list[str], *words: str) -> str:
     """Run the command, check that it refuses in one sentence with these words, return it."""
     assert main(arguments) == 2
@@ -49,6 +53,7 @@ def typed(action: argparse.Action) -> tuple[list[str], object]:
         return ["3"], 3
     if action.type is float:
         return ["0.25"], 0.25
+    text = QUANTITIES.get(str(action.metavar), "some")
     if action.nargs in ("+", "*"):
-        return ["one", "two"], ["one", "two"]
-    return ["200um"], "200um"
+        return [text, f"1{text}"], [text, f"1{text}"]
+    return [text], text

@@ -22,6 +22,7 @@ from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 
 from perilife_data import did_you_mean
+from perilife_data.kinds_of_files import kind_of
 from pipeline.scene.command.arguments import arguments_of, keyword, options_of, unknown_name
 from pipeline.scene.command.parser import OneSentenceParser
 from pipeline.scene.scene import Scene, SceneError, scene_from_json
@@ -30,6 +31,14 @@ LOCALISED = ("pit", "crevice", "galvanic", "intergranular", "couple")
 """Kinds of localised corrosion; pipeline.scenes reads their files."""
 KINDS = ("life-cycle", *LOCALISED)
 """What a scene file can describe; the first where it does not say."""
+
+GIVEN_BY = {
+    "alloy": "--alloy",
+    "parameter set": "--parameters",
+    "hardening": "--hardening",
+    "medium": "--medium",
+}
+"""Kind of a file of one's own -> the option that takes it, where it was given as a scene."""
 
 STORED = ".json"
 """Ending of a resolved scene; everything else is TOML."""
@@ -159,6 +168,7 @@ def read_scene_file(path: Path, parser: argparse.ArgumentParser) -> dict[str, ob
     TOML, an unknown kind, a key that is no option, stands in another table or twice.
     """
     content = read_content(path)
+    _refuse_data(path, content)
     kind = content.pop("kind", KINDS[0])
     if kind in LOCALISED:
         raise ValueError(f"{path}: kind is {kind!r}; for this command it must be {KINDS[0]}")
@@ -187,6 +197,16 @@ def read_scene_file(path: Path, parser: argparse.ArgumentParser) -> dict[str, ob
                 raise ValueError(f"{path}: key '{key}' is there twice; it must be there once")
             values[option] = value
     return values
+
+
+def _refuse_data(path: Path, content: Mapping[str, object]) -> None:
+    """Refuse the file of an alloy, a medium, ... where a scene is to be, naming its option."""
+    kind = kind_of(content)
+    if kind in GIVEN_BY:
+        raise ValueError(
+            f"scene file is '{path}', which is the file of a{'n' * (kind == 'alloy')} {kind}; "
+            f"give it as {GIVEN_BY[kind]} {path}"
+        )
 
 
 def tables_of(parser: argparse.ArgumentParser) -> dict[str, str]:

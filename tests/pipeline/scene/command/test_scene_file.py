@@ -17,6 +17,7 @@ from pipeline.scene.command.scene_file import tables_of
 from pipeline.scene.scene import Scene
 from tests.pipeline.command_line import refused, typed
 
+EXAMPLES = Path(__file__).parents[4] / "pipeline/examples"
 OPTIONS = [
     *("--alloy", "Mg-10Gd", "Mg-5Gd", "--immersion", "1w", "8w", "--hold", "slot", "faces"),
     *("--spacing", "50um", "--kinetics", "tafel:overpotential=0.02,slope=0.1", "--keep", "liquid"),
@@ -56,6 +57,39 @@ def test_no_file_is_written_for_an_alloy_that_is_not_known(tmp_path, capsys) -> 
         assert told.count("\n") == 1 and f"alloy '{name}' is unknown" in told and said in told
     assert main(["init", "--alloy", str(tmp_path / "none.toml")]) == 2
     assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize(
+    ("option", "text"),
+    [
+        ("--diameter", "1 parsec"), ("--immersion", "8 months"), ("--voxel", "5kg"),
+        ("--step", "100um"), ("--bending-azimuth", "30s"), ("--bath-volume", "50"),
+        ("--spacing", "wide"),
+    ],
+)  # fmt: skip
+def test_no_file_is_written_for_a_unit_that_no_run_would_read(option, text, capsys) -> None:
+    refused(capsys, ["init", option, text], option[2:].replace("-", " "), text, "unit out of")
+
+
+def test_a_bare_time_is_of_an_hour_at_least_or_zero(tmp_path) -> None:
+    file = tmp_path / "scene.toml"
+    for immersion in ("[0, 3600]", "['0w', '1h']", "['0s', '3600s']"):
+        file.write_text(f"alloy = 'Mg-5Gd'\nimmersion = {immersion}\n")
+        asked_for = scene_of(asked(str(file), "--out", "x")).immersion
+        assert [time.seconds for time in asked_for] == [0.0, 3600.0]
+
+
+def test_a_file_given_for_another_is_named(tmp_path, capsys) -> None:
+    alloy = str(EXAMPLES / "my-alloy.toml")
+    out = ["--out", str(tmp_path / "run")]
+    for command in (["run", alloy, *out], ["plan", alloy], ["run", "--scene", alloy, *out]):
+        refused(capsys, command, "is the file of an alloy", f"give it as --alloy {alloy}")
+    scene, time = str(EXAMPLES / "scene.toml"), ["--immersion", "8w"]
+    words = "is the file of a scene", f"perilife run {scene}"
+    refused(capsys, ["run", "--alloy", scene, *time, *out], "alloy is", *words)
+    sets = ["run", "--alloy", "Mg-5Gd", *time, *out, "--parameters"]
+    refused(capsys, [*sets, scene], "parameter set is", *words)
+    refused(capsys, [*sets, alloy], "parameter set is", "the file of an alloy")
 
 
 def test_a_file_says_what_the_options_say(tmp_path, capsys) -> None:
@@ -190,6 +224,10 @@ def test_the_tables_are_the_groups_of_the_help() -> None:
         ("alloy = ['Mg-5Gd']", ["--immersion"]),
         ("alloy = 'mg5gd'\nimmersion = '8w'", ["did you mean Mg-5Gd?"]),
         ("alloy = 'Mg-5Gd'\nimmersion = '8w'\nclasses = 2.5", ["rate classes", "2.5"]),
+        ("immersion = 12", ["immersion: 12 is 12 s", "write 12w, 12d or 12h"]),
+        ("immersion = [0, 1.5]", ["immersion: 1.5 is 1.5 s", "1.5w"]),
+        ("[ions]\nexchange-every = 2", ["exchange-every: 2 is 2 s", "2d"]),
+        ("[parameters]\n[alloys.X]", ["file of a parameter set", "--parameters"]),
     ],
 )
 def test_what_a_file_must_not_hold_is_refused(tmp_path, capsys, text, words) -> None:
