@@ -202,7 +202,7 @@ def _run(options: argparse.Namespace) -> int:
     for hold in scene.holds:
         grips = hold.tensile.bottom_grip, hold.tensile.top_grip
         print(f"{hold.name}: {held_in_words(hold.name, *grips)}")
-    print("strength ratio: to the same solid, held alike, before immersion")
+    print("strength left: of the same solid, held alike, before immersion")
     if options.samples is not None:
         from pipeline.record.bands import BANDS_FILE, print_bands, read_bands
 

@@ -106,8 +106,8 @@ def quick_stages(alloys: Sequence[str] = ALLOYS, **changes: object) -> list[Resu
         results += [
             Result(f"{alloy} intact peak force", at[alloy, 0.0].peak_reaction, "N", "300 to 700"),
             Result(f"{alloy} volume loss after 8 weeks", at[alloy, 56.0].volume_loss, "1"),
-            Result(f"{alloy} strength ratio after 8 weeks", at[alloy, 56.0].strength_ratio, "1"),
-            Result(f"{alloy} strength ratio after 24 weeks", at[alloy, 168.0].strength_ratio, "1"),
+            Result(f"{alloy} strength left after 8 weeks", at[alloy, 56.0].strength_ratio, "1"),
+            Result(f"{alloy} strength left after 24 weeks", at[alloy, 168.0].strength_ratio, "1"),
         ]
     results.append(Result("lost mass, mesh to lattice, largest difference", max(differences), "1"))
     return results

@@ -35,7 +35,7 @@ class BandRow:
 
     Bands are the values below which 5, 50 and 95 % of the samples lie.  degradation_rate: (5.34)
     of Hermann 2024, mm/year; samples: of the constants; strength_curve_error: leave-one-out, of
-    the strength ratio.
+    the strength left.
     """
 
     alloy: str

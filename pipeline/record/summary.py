@@ -90,7 +90,7 @@ def shown(rows: Sequence[SummaryRow]) -> tuple[list[str], list[list[str]]]:
         "volume loss [%]",
         "mean damage",
         f"peak {names.reaction} [{names.shown_unit}]",
-        "strength ratio",
+        "strength left",
         f"{names.strain_title.lower()} at peak",
         "status",
     ]

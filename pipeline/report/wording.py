@@ -78,7 +78,7 @@ def _last_time(alloy: AlloyResult) -> str:
 
 
 def half_strength_time(alloy: AlloyResult) -> float | None:
-    """Time (s) at which the strength ratio passes one half, linear between computed times."""
+    """Time (s) at which the strength left passes one half, linear between computed times."""
     known = [i for i in alloy.immersions if i.strength_ratio is not None]
     tested = [(i.seconds, i.strength_ratio) for i in known]
     for (t0, r0), (t1, r1) in zip(tested, tested[1:], strict=False):

@@ -414,7 +414,7 @@ class Scene:
         raise _not_part("immersion time", label, [time.label for time in self.immersion])
 
     def with_intact(self) -> tuple[ImmersionTime, ...]:
-        """The immersion times with time zero in front, which the strength ratio needs."""
+        """The immersion times with time zero in front, which the strength left needs."""
         if self.immersion[0].seconds == 0:
             return self.immersion
         return (ImmersionTime("0w", 0.0), *self.immersion)

@@ -3,7 +3,7 @@
 Every run is the reference screw with the corrosion field of the quick lattice.  Meshes of three
 elements are pulled with the same increments; increments (of P2, and taken to hold for the others),
 tolerance and growth of f are varied on one mesh of an element each, the grips on two.  The
-reference of a strength ratio is the limit of the P2 meshes (`limit_of`); how far that limit lies
+reference of the strength left is the limit of the P2 meshes (`limit_of`); how far that limit lies
 from the finest mesh is its uncertainty, and part of every error of a ratio.
 """
 
@@ -191,7 +191,7 @@ def edge(row: Row) -> float:
 
 
 class Errors:
-    """Errors of the rows of one alloy: of the peak force, and of the strength ratio.
+    """Errors of the rows of one alloy: of the peak force, and of the strength left.
 
     force: reference and its uncertainty by immersion time (N); ratio: the same of the force over
     that of the intact screw with the same setting.
@@ -227,7 +227,7 @@ class Errors:
         return abs(row.peak_force / self.force[row.immersion][0] - 1.0)
 
     def ratio_error(self, row: Row) -> float:
-        """Relative error of the strength ratio, with the uncertainty of the reference added."""
+        """Relative error of the strength left, with the uncertainty of the reference added."""
         reference, uncertainty = self.ratio[row.immersion]
         if weeks(row.immersion) == 0.0:
             return 0.0
@@ -238,7 +238,7 @@ class Errors:
         return [r for r in self.rows if r.curve == name and r.immersion == immersion and _ended(r)]
 
     def increment_errors(self) -> dict[float, float]:
-        """Error of the strength ratio by increment: extrapolated from the two finest at order 1."""
+        """Error of the strength left by increment: extrapolated from the two finest at order 1."""
         found: dict[float, float] = {}
         for t in self.times:
             rows = sorted(self.curve(INCREMENT_CURVE, t), key=lambda r: -r.increment)
@@ -260,7 +260,7 @@ def _ended(row: Row) -> bool:
 class Setting:
     """Mesh, element and increment with the errors and costs that follow, over all alloys and times.
 
-    mesh_error, increment_error: of the strength ratio, relative, the doubt about its reference
+    mesh_error, increment_error: of the strength left, relative, the doubt about its reference
     added; force_error: of the peak force against its reference, by the mesh;
     seconds: of the processor, of the longest test; measured: whether the pair was run itself, else
     its cost follows from the number of increments.
@@ -279,12 +279,12 @@ class Setting:
 
     @property
     def error(self) -> float:
-        """Relative error of the strength ratio: that of the mesh plus that of the increment."""
+        """Relative error of the strength left: that of the mesh plus that of the increment."""
         return self.mesh_error + self.increment_error
 
     @property
     def larger_error(self) -> float:
-        """Larger relative error of strength ratio and peak force, that of the increment added."""
+        """Larger relative error of strength left and peak force, that of the increment added."""
         return max(self.mesh_error, self.force_error) + self.increment_error
 
 
@@ -327,7 +327,7 @@ def settings(study: Study) -> list[Setting]:
 
 
 def cheapest(found: Sequence[Setting], wanted: float, most: float = np.inf) -> tuple[Setting, bool]:
-    """The cheapest setting within an error of strength ratio and peak force; whether there is one.
+    """The cheapest setting within an error of strength left and peak force; whether there is one.
 
     most: processor seconds that one test may take.  Where none is within the error: the one with
     the smallest error, or the cheapest within a tenth of it.

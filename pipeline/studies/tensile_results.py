@@ -26,7 +26,7 @@ from pipeline.studies.workshop import Row, write_rows
 
 WANTED_ERRORS = (0.10, 0.03, 0.01)
 PRESETS = {"quick": (0.03, 30.0), "standard": (0.02, 400.0), "fine": (0.01, np.inf)}
-"""Wanted error of strength ratio and peak force, and processor seconds that one test may take.
+"""Wanted error of strength left and peak force, and processor seconds that one test may take.
 
 A test of quick is to last 30 s, fourteen of standard an hour on two cores.
 """
@@ -124,7 +124,7 @@ def _order_lines(errors: Errors) -> list[str]:
     finite = sorted(known)[1:]
     if len(finite) >= 2:
         order = observed_order(finite, [known[x] for x in finite])
-        lines.append(f"increment: observed order of the strength ratio {order:.1f}")
+        lines.append(f"increment: observed order of the strength left {order:.1f}")
     most = max(r.iterations for r in errors.rows)
     stopped = [r for r in errors.rows if r.status.startswith("stopped")]
     lines.append(
@@ -156,7 +156,7 @@ def _choice_table(errors: Errors, curve: str) -> list[str]:
 
 def _settings_table(study: Study) -> list[str]:
     lines = [
-        "Error of the strength ratio (mesh, with the uncertainty of the limit, plus increment) and "
+        "Error of the strength left (mesh, with the uncertainty of the limit, plus increment) and "
         "of the peak force (mesh plus increment), processor time of the longest test and of all:",
         "",
         _line(["element", "edges / mm", "increment", "ratio", "force", "longest", "all"]),
@@ -190,7 +190,7 @@ def in_words(s: Setting) -> str:
 
 
 def cheapest_lines(study: Study) -> list[str]:
-    """The cheapest setting within 10, 3 and 1 % of strength ratio and peak force."""
+    """The cheapest setting within 10, 3 and 1 % of strength left and peak force."""
     found = settings(study)
     lines = []
     for wanted in WANTED_ERRORS:
@@ -211,10 +211,10 @@ def presets_text(study: Study, command: str) -> str:
         )
     lines = [
         "# Mesh, element and increment of the presets, with their measured error of the strength",
-        "# ratio (largest relative error over the immersion times; reference screw).",
+        "# left (largest relative error over the immersion times; reference screw).",
         f"# Written by: {command}",
         "# then copied to scene/presets_tensile.toml. A preset is the cheapest setting within",
-        "# its wanted error, of strength ratio and peak force, whose longest test stays below",
+        "# its wanted error, of strength left and peak force, whose longest test stays below",
         "# most_seconds, or the best of those.",
         "",
         f'command = "{command}"',
@@ -233,7 +233,7 @@ def presets_text(study: Study, command: str) -> str:
             f"mesh_size = {s.mesh_size:.6g}  # m",
             f"mesh_size_fine = {s.mesh_size_fine:.6g}  # m",
             f"increment = {s.increment:g}",
-            f"error = {s.error:.2g}  # of the strength ratio, mesh and increment",
+            f"error = {s.error:.2g}  # of the strength left, mesh and increment",
             f"mesh_error = {s.mesh_error:.2g}",
             f"increment_error = {s.increment_error:.2g}",
             f"force_error = {s.force_error:.2g}  # of the peak force, mesh",

@@ -1,5 +1,6 @@
 """Cells that lock are named, with what that does to the peak; others are not."""
 
+import re
 from types import SimpleNamespace
 
 import pytest
@@ -25,6 +26,14 @@ def test_what_locks_is_said(element, load, what):
     said = locking(scene.tensile)
     assert len(said) == (what is not None)
     assert what is None or (what in said[0][0] and "too large" in said[0][2])
+
+
+def test_each_figure_says_of_what_it_is():
+    ((_, _, said),) = locking(scene_of(changed("--element", "P1")).tensile)
+    by_case = dict(
+        re.findall(r"held by (?:its|the) (\w+), cells of [\d. to]+ mm, by ([\d to]+ %)", said)
+    )
+    assert by_case == {"shank": "13 to 16 %", "slot": "39 %"}  # as in pipeline/MEASURED.md
 
 
 @pytest.mark.parametrize(("words", "notes"), [((), 0), (("--element", "P1"), 3)])

@@ -117,7 +117,7 @@ def test_the_files_of_the_study_are_whole_and_its_presets_can_be_read(tmp_path):
     assert repr(read_rows(paths[0])) == repr(list(whole.rows))
     text = paths[1].read_text()
     assert "P2: observed order of the peak force in the edge: nan (0w), 2.0 (8w)" in text
-    assert "increment: observed order of the strength ratio 1.0" in text
+    assert "increment: observed order of the strength left 1.0" in text
     assert paths[2].read_bytes().startswith(b"\x89PNG")
     presets = read_presets(tensile=paths[3])
     assert list(presets) == list(NAMES)
