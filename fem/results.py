@@ -71,10 +71,11 @@ class ParaviewSeries:
     """Observer that writes `name`_0000.vtu ... and `name`.pvd; its time is the strain in per cent.
 
     The intact state, the one with the largest reaction, the last one, and every `every`-th
-    increment between. Points: displacement_m. Cells still in place (means over their quadrature
-    points): cauchy_stress_Pa (xx, yy, zz, xy, yz, xz), mises_kirchhoff_Pa and
-    mean_stress_kirchhoff_Pa (Kirchhoff's is Cauchy's times det F), plastic_strain,
-    damage_variable, number of the cell in the input. Ten-node cells are shown by their corners.
+    increment between; none where nothing is left between the grips.  Points: displacement_m.
+    Cells still in place (means over their quadrature points): cauchy_stress_Pa (xx, yy, zz, xy,
+    yz, xz), mises_kirchhoff_Pa and mean_stress_kirchhoff_Pa (Kirchhoff's is Cauchy's times det F),
+    plastic_strain, damage_variable, number of the cell in the input. Ten-node cells are shown by
+    their corners.
     """
 
     def __init__(self, folder: str | Path, every: int = 1, name: str = "tensile") -> None:
@@ -125,6 +126,8 @@ class ParaviewSeries:
         if test.comm.rank != 0:
             return
         numbers = test.prepared.kept[np.concatenate([cells for cells, _ in parts])]
+        if not numbers.size:
+            return
         order = np.argsort(numbers)
         everywhere = np.zeros_like(test.prepared.points)
         for vertices, rows in moved:
@@ -160,7 +163,7 @@ class ParaviewSeries:
         )
         text = "\n".join(
             ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1">', "<Collection>"]
-            + [self._entries[number] for number in sorted(self._entries)]
+            + [entry for _, entry in sorted(self._entries.items()) if entry]
             + ["</Collection>", "</VTKFile>", ""]
         )
         temporary = self.folder / f".{self.name}.part.pvd"

@@ -134,6 +134,20 @@ def test_paraview_series(tmp_path):
     np.testing.assert_allclose(first.point_data["displacement_m"][top, 2], at * 4e-3, rtol=1e-9)
 
 
+def test_a_series_ends_where_nothing_is_left_between_the_grips(tmp_path):
+    pyvista = pytest.importorskip("pyvista")
+    points, cells = box((1, 1, 3), (1e-3, 1e-3, 3e-3))
+    damage = np.where(points[cells, 2].mean(axis=1) < 1e-3, 0.65, 0.0)  # one end tears off whole
+    result = tensile_test(
+        points, cells, damage, MATERIAL, TensileSettings("P1", maximum_strain=0.3, full_curve=True),
+        observers=[ParaviewSeries(tmp_path)],
+    )  # fmt: skip
+    assert result.reaction[-1] == 0.0 and result.lost_cells == len(cells)
+    text, files = (tmp_path / "tensile.pvd").read_text(), sorted(tmp_path.glob("*.vtu"))
+    assert text.count("<DataSet") == len(files) > 3
+    assert pyvista.read(files[-1]).n_cells == len(cells)
+
+
 def test_the_stress_of_the_series_bears_the_force(tmp_path):
     """Integral of the axial Cauchy stress over the stretched bar = force times its length."""
     pyvista = pytest.importorskip("pyvista")
