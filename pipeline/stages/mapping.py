@@ -1,6 +1,7 @@
 """The map stage: corrosion damage f0 on the mesh of the intact solid, per cell or point."""
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
 
 import h5py
@@ -9,6 +10,7 @@ import numpy as np
 from fem.quadrature import find_element, quadrature_points, sampling_points
 from peri.corrosion.results import read_corrosion
 from pipeline.geometry.mesh import read_mesh
+from pipeline.geometry.surface import Solid
 from pipeline.scene.mapping import by_nodes_because
 from pipeline.scene.mechanics import EXPOSURES, NODES
 from pipeline.scene.scene import HoldScene, Scene
@@ -23,6 +25,7 @@ from pipeline.stages.damage_map import (
 )
 from pipeline.stages.doses import (
     DOSES_FILE,
+    Kernel,
     damage_by_dose,
     exposure_at,
     kernel_of,
@@ -36,6 +39,95 @@ DAMAGE_FILE = "damage.h5"
 SCHEMA_VERSION = 1
 BLIND_METAL = "metal that saw no liquid at first has lost more than a thousandth of what is lost"
 """Why a march whose scene allows exposures left no doses (doses.doses)."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What maps by exposures: the solid, how its points see liquid, and the cells' doses.
+
+    dose: (nx, ny, nz), NaN where there is none (pipeline.stages.doses).
+    """
+
+    solid: Solid
+    kernel: Kernel
+    dose: np.ndarray
+
+
+@dataclass(frozen=True)
+class Lost:
+    """What a lattice has lost at one time.
+
+    origin, spacing: (3,), m; concentration (mol/m^3), metal and capacity (cells of metal that a
+    node stands for): (nx, ny, nz); solid_concentration: mol/m^3; seen: None maps by nodes.
+    """
+
+    origin: np.ndarray
+    spacing: np.ndarray
+    concentration: np.ndarray
+    metal: np.ndarray
+    capacity: np.ndarray
+    solid_concentration: float
+    seen: Seen | None = None
+
+
+@dataclass(frozen=True)
+class Mapped:
+    """Damage of the mesh, not cut off: at points of each cell, with their volumes (nc, nq), m^3.
+
+    exponent: with what it was scaled; lost: the volumes lost before that (damage_map.conserved).
+    """
+
+    damage: np.ndarray
+    weights: np.ndarray
+    exponent: float
+    lost: dict[str, float]
+
+    def cut_off(self, maximum: float) -> np.ndarray:
+        """f0 (nc, nq), at most `maximum`."""
+        return np.minimum(self.damage, maximum)
+
+    def cell_means(self, maximum: float) -> np.ndarray:
+        """Means (nc, 1) of f0 over each cell."""
+        return np.average(self.cut_off(maximum), 1, self.weights)[:, None]
+
+
+def map_lost(
+    points: np.ndarray,
+    cells: np.ndarray,
+    lost: Lost,
+    element: str,
+    halvings: int | None = 1,
+    folder: Path | None = None,
+) -> Mapped:
+    """The damage of a mesh that loses what the lattice has lost.
+
+    points (n, 3) m, cells (nc, 4): of the intact solid.  halvings: how often the edges of a cell
+    are halved for the points that its mean is taken of; None: the element's quadrature points.
+    folder: where what the points see is kept.
+    """
+    seen = lost.seen
+    if halvings is None:
+        at, weights = quadrature_points(points, cells, element)
+    elif seen is None:  # the field varies within a cell; one point in it misses a tenth of the loss
+        at, weights = sampling_points(points, cells, halvings)
+    else:
+        at, weights = skin_points(points, cells, halvings)
+    place = (lost.origin, lost.spacing)
+    field = (lost.concentration, lost.metal, lost.solid_concentration)
+    if seen is None:
+        return _mapped(weights, conserving_map(at, weights, *place, *field, lost.capacity))
+    if halvings is None:
+        exposure = exposure_at(at, seen.solid, seen.kernel, folder)
+    else:
+        exposure = skin_exposure(points, cells, seen.solid, seen.kernel, folder, halvings)
+    damage = damage_by_dose(at, exposure, *place, seen.dose)
+    gone = lost_volume_on_lattice(*field, lost.capacity * np.prod(lost.spacing))
+    return _mapped(weights, conserved(damage, weights, gone))
+
+
+def _mapped(weights: np.ndarray, found: tuple[np.ndarray, float, dict[str, float]]) -> Mapped:
+    damage, exponent, lost = found
+    return Mapped(damage, weights, exponent, lost)
 
 
 def map_in_folder(
@@ -61,31 +153,19 @@ def map_in_folder(
     solid = float(fields["solid_concentration"])
     mapping, because = _chosen(scene, moment, hold, corrosion)
     one_per_cell = hold.tensile.damage == "cell"
-    if not one_per_cell:
-        points, weights = quadrature_points(mesh.points, mesh.cells, hold.tensile.element)
-    elif mapping == EXPOSURES:
-        points, weights = skin_points(mesh.points, mesh.cells)
-    else:  # the field varies within a cell; one point in it misses a tenth of the loss
-        points, weights = sampling_points(mesh.points, mesh.cells)
-    place = (fields["lattice/origin"], fields["lattice/spacing"])
-    lost_by = (fields["concentration"][number], fields["metal"], solid)
+    seen = None
     if mapping == EXPOSURES:
         surface = read_surface(geometry if (geometry / SURFACE_FILE).exists() else geometry.parent)
-        kernel = kernel_of(scene)
-        seen = (
-            skin_exposure(mesh.points, mesh.cells, surface, kernel, geometry)
-            if one_per_cell
-            else exposure_at(points, surface, kernel, geometry)
-        )
         with np.load(corrosion / DOSES_FILE) as stored:
-            damage = damage_by_dose(points, seen, *place, stored["dose"][number])
-        held = fields["capacity"] * place[1].prod()
-        whole, exponent, lost = conserved(damage, weights, lost_volume_on_lattice(*lost_by, held))
-    else:
-        whole, exponent, lost = conserving_map(
-            points, weights, *place, *lost_by, fields["capacity"]
-        )
-    damage, volume = np.minimum(whole, maximum), float(weights.sum())
+            seen = Seen(surface, kernel_of(scene), stored["dose"][number])
+    lattice = Lost(
+        fields["lattice/origin"], fields["lattice/spacing"], fields["concentration"][number],
+        fields["metal"], fields["capacity"], solid, seen,
+    )  # fmt: skip
+    halvings = 1 if one_per_cell else None
+    mapped = map_lost(mesh.points, mesh.cells, lattice, hold.tensile.element, halvings, geometry)
+    weights, damage = mapped.weights, mapped.cut_off(maximum)
+    volume = float(weights.sum())
     numbers = {
         "mapping": mapping,
         "mapping_because": because,
@@ -93,15 +173,15 @@ def map_in_folder(
         "maximum_corrosion_damage": float(damage.max()),
         "volume_share_at_maximum": float(weights[damage >= maximum - 1e-12].sum() / volume),
         "net_section_left": _net_section_left(hold, mesh.points, fields, number, solid, maximum),
-        **lost,
-        "mapped_lost_volume": lost_volume_on_mesh(whole, weights),
+        **mapped.lost,
+        "mapped_lost_volume": lost_volume_on_mesh(mapped.damage, weights),
     }
     parts = None
     if one_per_cell:
-        damage = ((damage * weights).sum(axis=1) / weights.sum(axis=1))[:, None]
-        parts = part_means(whole, weights) if mapping == EXPOSURES else None
+        damage = mapped.cell_means(maximum)
+        parts = part_means(mapped.damage, weights) if mapping == EXPOSURES else None
     path = out / DAMAGE_FILE
-    write_damage(path, damage, moment, hold.tensile.element, exponent, mapping, parts)
+    write_damage(path, damage, moment, hold.tensile.element, mapped.exponent, mapping, parts)
     return [path], numbers
 
 

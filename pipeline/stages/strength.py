@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,6 +22,10 @@ from pipeline.record.run_folder import write_json, write_text
 from pipeline.scene.loads import LOADS
 from pipeline.scene.scene import MaterialParameters, TensileScene
 from pipeline.stages.mapping import DAMAGE_FILE, read_damage
+
+if TYPE_CHECKING:
+    from fem.constitutive.material import Material
+    from fem.strength import TensileSettings
 
 JOB_FILE = "tensile-job.json"
 RESULT_FILE = "tensile.json"
@@ -83,11 +88,8 @@ def run_job(job: TensileJob, comm: object = None) -> None:
     begun = time.process_time()
     from mpi4py import MPI
 
-    from fem.constitutive.hardening import VoceHardening
-    from fem.constitutive.material import Material
     from fem.results import Checkpoint, CheckpointError, ParaviewSeries
-    from fem.solid import Grips
-    from fem.strength import TensileSettings, tensile_test
+    from fem.strength import tensile_test
 
     comm = MPI.COMM_WORLD if comm is None else comm
     root = comm.rank == 0
@@ -99,28 +101,7 @@ def run_job(job: TensileJob, comm: object = None) -> None:
     def advanced(fraction: float, text: str) -> None:
         write_text(out / PROGRESS_FILE, f"{fraction:.4f}")
 
-    material = Material(
-        young=values.young_modulus,
-        poisson=values.poisson_ratio,
-        hardening=VoceHardening(
-            values.initial_yield_stress, values.hardening_capacity, values.hardening_rate
-        ),
-        q1=values.q1,
-    )
-    settings = TensileSettings(
-        element=test.element,
-        maximum_strain=test.final_strain,
-        first_increment=first_increment(test),
-        maximum_increment=test.increment,
-        full_curve=test.peak_drop >= 1,
-        peak_drop=test.peak_drop,
-        damage=test.damage,
-        damage_length=test.damage_length,
-        load=test.load,
-        bending_azimuth=test.bending_azimuth or 0.0,
-        grips=Grips(test.bottom_grip, test.top_grip, test.lateral),
-        threads=int(os.environ.get("NUMBA_NUM_THREADS", "0")) or None,
-    )
+    material, settings = material_of(values), settings_of(test)
     checkpoint = out / CHECKPOINT_FILE
 
     def pull(resume: Path | None):
@@ -151,6 +132,42 @@ def run_job(job: TensileJob, comm: object = None) -> None:
         _write_result(out, result, test.load, time.process_time() - begun)
         _write_picture(out, mesh, damage, result)
         checkpoint.unlink(missing_ok=True)
+
+
+def material_of(values: MaterialParameters) -> "Material":
+    """The material of a test."""
+    from fem.constitutive.hardening import VoceHardening
+    from fem.constitutive.material import Material
+
+    return Material(
+        young=values.young_modulus,
+        poisson=values.poisson_ratio,
+        hardening=VoceHardening(
+            values.initial_yield_stress, values.hardening_capacity, values.hardening_rate
+        ),
+        q1=values.q1,
+    )
+
+
+def settings_of(test: TensileScene) -> "TensileSettings":
+    """The settings of a test, with as many threads as the environment says."""
+    from fem.solid import Grips
+    from fem.strength import TensileSettings
+
+    return TensileSettings(
+        element=test.element,
+        maximum_strain=test.final_strain,
+        first_increment=first_increment(test),
+        maximum_increment=test.increment,
+        full_curve=test.peak_drop >= 1,
+        peak_drop=test.peak_drop,
+        damage=test.damage,
+        damage_length=test.damage_length,
+        load=test.load,
+        bending_azimuth=test.bending_azimuth or 0.0,
+        grips=Grips(test.bottom_grip, test.top_grip, test.lateral),
+        threads=int(os.environ.get("NUMBA_NUM_THREADS", "0")) or None,
+    )
 
 
 def first_increment(test: TensileScene) -> float:

@@ -124,7 +124,8 @@ def _study_tensile(options: argparse.Namespace) -> None:
         immersion,
         lambda line: print(line, flush=True),
         options.long,
-        keep=folder / "tensile.csv",
+        rows=folder / "tensile.csv",
+        keep=folder / "pulls",
     )
     given = f" --immersion {' '.join(options.immersion)}" if options.immersion else ""
     given += " --long" if options.long else ""

@@ -1,46 +1,49 @@
 """Error against run time of the tensile stage: what each numerical choice costs and buys.
 
-Every run is the reference screw with the corrosion field of the quick lattice.  Meshes of three
-elements are pulled with the same increments; increments (of P2, and taken to hold for the others),
-tolerance and growth of f are varied on one mesh of an element each, the grips on two.  The
-reference of the strength left is the limit of the P2 meshes (`limit_of`); how far that limit lies
-from the finest mesh is its uncertainty, and part of every error of a ratio.
+Every pull is that of a `quick` run (its lattice, its map, its increments) with one choice changed:
+meshes of three elements, and meshes of about the size of `quick`, which tell scatter from trend; on
+one mesh the increments and the length that the grips hold; with `long` tolerance and growth of f,
+too.  The reference of a strength left is the limit of the P2 meshes (`limit_of`); how far that
+limit lies from the finest mesh is its uncertainty, and part of every error of a ratio.
 """
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from pipeline.studies.workshop import AS_PRINTED, Pull, Row, Workshop, weeks, write_rows
+from pipeline.studies.workshop import Pull, Row, Workshop, kept_folder, weeks, write_rows
 
-IMMERSION = ("0w", "4w", "8w", "24w")
+IMMERSION = ("0w", "8w", "24w")
 COARSEST, COARSE, QUICK = (0.5e-3, 0.4e-3), (0.4e-3, 0.3e-3), (0.3e-3, 0.2e-3)
 MIDDLE, FINE, FINER, FINEST = (
     (0.22e-3, 0.14e-3), (0.2e-3, 0.12e-3), (0.16e-3, 0.1e-3), (0.12e-3, 0.08e-3)
 )  # fmt: skip
 MESHES = {
-    "P2": (COARSEST, COARSE, QUICK, FINE, FINER, FINEST),
+    "P2": (COARSE, QUICK, FINE, FINER, FINEST),
     "P1-Fbar": (COARSE, QUICK, FINE),
-    "P1": (QUICK, FINE),
+    "P1": (QUICK,),
 }
 LONG_MESHES = {
     "P2": (COARSEST, COARSE, QUICK, MIDDLE, FINE, FINER, FINEST),
     "P1-Fbar": (COARSE, QUICK, FINE, FINER, FINEST),
     "P1": (COARSE, QUICK, FINE, FINER, FINEST),
 }
-INCREMENT = 0.01
-"""Largest strain increment of the runs that compare meshes."""
+NEARBY = ((0.29e-3, 0.195e-3), (0.31e-3, 0.205e-3))
+"""Meshes of about the size of QUICK: what they differ by is scatter, no trend."""
 
-INCREMENTS = (0.02, 0.01, 0.005, 0.0025)
+INCREMENT = 0.02
+"""Largest strain increment of the pulls that compare meshes: that of a run."""
+
+INCREMENTS = (0.02, 0.01, 0.005)
 LONG_INCREMENTS = (0.02, 0.01, 0.005, 0.0025, 0.00125)
 TOLERANCES = (1e-3, 1e-5, 1e-7)
 GRIPS = (0.0, 0.5e-3, None, 0.9e-3)
 MESH_CURVES = ("P1", "P1-Fbar", "P2")
+SCATTER_CURVE = "scatter (P2)"
 INCREMENT_CURVE, TOLERANCE_CURVE = "increment (P2)", "tolerance (P1-Fbar)"
 DAMAGE_CURVE, GRIP_CURVE = "growth of f", "grips"
 
@@ -71,28 +74,37 @@ def plan_pulls(alloys: Sequence[str], immersion: Sequence[str], long: bool = Fal
         for element, sizes in meshes.items():
             for size in reversed(sizes):
                 pulls += [_pull(element, alloy, t, element, size) for t in times]
+        for size in NEARBY:
+            pulls += [_pull(SCATTER_CURVE, alloy, t, "P2", size) for t in times]
         base = [_pull("", alloy, t, "P2", COARSE) for t in times]
         for x in LONG_INCREMENTS if long else INCREMENTS:
             change = {"curve": INCREMENT_CURVE, "choice": f"{100 * x:g} %", "increment": x}
             pulls += [replace(p, **change) for p in base]
-        base = [_pull("", alloy, t, "P1-Fbar", QUICK) for t in times]
-        for x in TOLERANCES:
-            change = {"curve": TOLERANCE_CURVE, "choice": f"{x:g}", "tolerance": x}
-            pulls += [replace(p, **change) for p in base]
-        for damage in ("cell", "point"):
-            for t in times[1:]:
-                p = _pull(DAMAGE_CURVE, alloy, t, "P2", COARSE)
-                samples = 1 if damage == "cell" else None
-                pulls.append(replace(p, choice=f"P2, {damage}", damage=damage, samples=samples))
-        for t in times[1:]:
-            p = _pull(DAMAGE_CURVE, alloy, t, "P1-Fbar", QUICK)
-            pulls.append(replace(p, choice="P1-Fbar, implicit", damage="implicit"))
-        for size in (COARSE, QUICK):
-            for grip in GRIPS:
-                for t in times:
-                    p = _pull(GRIP_CURVE, alloy, t, "P2", size)
-                    text = "as in a run" if grip is None else f"{1e3 * grip:g} mm"
-                    pulls.append(replace(p, choice=f"{text}, {p.choice}", grip=grip))
+        for grip in GRIPS:
+            text = "as in a run" if grip is None else f"{1e3 * grip:g} mm"
+            base = [_pull(GRIP_CURVE, alloy, t, "P2", QUICK) for t in times]
+            pulls += [replace(p, choice=text, grip=grip) for p in base]
+        if long:
+            pulls += _long_pulls(alloy, times)
+    return pulls
+
+
+def _long_pulls(alloy: str, times: Sequence[str]) -> list[Pull]:
+    """Tolerance and growth of f, which change next to nothing."""
+    base = [_pull("", alloy, t, "P1-Fbar", QUICK) for t in times]
+    pulls = [
+        replace(p, curve=TOLERANCE_CURVE, choice=f"{x:g}", tolerance=x)
+        for x in TOLERANCES
+        for p in base
+    ]
+    for t in times[1:]:
+        p = _pull(DAMAGE_CURVE, alloy, t, "P2", COARSE)
+        pulls += [
+            replace(p, choice="P2, cell"),
+            replace(p, choice="P2, point", damage="point", samples=None),
+        ]
+        p = _pull(DAMAGE_CURVE, alloy, t, "P1-Fbar", QUICK)
+        pulls.append(replace(p, choice="P1-Fbar, implicit", damage="implicit"))
     return pulls
 
 
@@ -108,9 +120,14 @@ def study_tensile(
     tell: Callable[[str], None] = lambda line: None,
     long: bool = False,
     workers: int = 2,
+    rows: Path | None = None,
     keep: Path | None = None,
 ) -> Study:
-    """Run the study; `tell` hears a line per run; keep: a CSV that the rows go to as they come."""
+    """Run the study; `tell` hears a line per run; rows: a CSV that the rows go to as they come.
+
+    keep: a folder in which fields, meshes and what each pull found stay, so that an interrupted
+    study goes on.
+    """
     pulls = plan_pulls(alloys, immersion, long)
     # A pull that stands on two curves is done once; the cheap ones first.
     once = list({_identity(p): p for p in pulls}.values())
@@ -120,13 +137,13 @@ def study_tensile(
     def done(row: Row) -> None:
         found[_identity(row)] = row
         tell(describe(row))
-        if keep is not None:
-            write_rows(_placed(pulls, found), keep)
+        if rows is not None:
+            write_rows(_placed(pulls, found), rows)
 
-    with tempfile.TemporaryDirectory(prefix="perilife-study-") as place:
-        shop = Workshop(Path(place))
+    with kept_folder(keep) as place:
+        shop = Workshop(place)
         for alloy in alloys:
-            shop.corrode(alloy, list(dict.fromkeys(["0w", *immersion])), **AS_PRINTED)
+            shop.corrode(alloy, list(dict.fromkeys(["0w", *immersion])))
         shop.pull(once, workers, done)
     return Study(tuple(_placed(pulls, found)))
 
@@ -236,6 +253,18 @@ class Errors:
     def curve(self, name: str, immersion: str) -> list[Row]:
         """Rows of one curve after one immersion time that ended as they should."""
         return [r for r in self.rows if r.curve == name and r.immersion == immersion and _ended(r)]
+
+    def scatter(self, immersion: str) -> float:
+        """Spread of the strength left, relative, on meshes of about one size; NaN from one."""
+        near = self.curve(SCATTER_CURVE, immersion)
+        sizes = [r.mesh_size for r in near]
+        like = [
+            r
+            for r in self.curve("P2", immersion)
+            if sizes and min(sizes) < r.mesh_size < max(sizes)
+        ]
+        ratios = [self.ratio_of(r) for r in (*near, *like)]
+        return float(np.ptp(ratios) / np.mean(ratios)) if len(ratios) > 1 else float("nan")
 
     def increment_errors(self) -> dict[float, float]:
         """Error of the strength left by increment: extrapolated from the two finest at order 1."""

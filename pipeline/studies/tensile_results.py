@@ -14,6 +14,7 @@ from pipeline.studies.tensile import (
     GRIP_CURVE,
     INCREMENT_CURVE,
     MESH_CURVES,
+    SCATTER_CURVE,
     TOLERANCE_CURVE,
     Errors,
     Setting,
@@ -22,7 +23,7 @@ from pipeline.studies.tensile import (
     edge,
     settings,
 )
-from pipeline.studies.workshop import Row, write_rows
+from pipeline.studies.workshop import Row, weeks, write_rows
 
 WANTED_ERRORS = (0.10, 0.03, 0.01)
 PRESETS = {"quick": (0.03, 30.0), "standard": (0.02, 400.0), "fine": (0.01, np.inf)}
@@ -42,11 +43,14 @@ def tables(study: Study) -> list[str]:
         errors = Errors(study, alloy)
         lines += [f"## {alloy}", "", *_force_table(errors), "", *_order_lines(errors), ""]
         for curve, title in (
+            (SCATTER_CURVE, "Meshes of about the size of quick"),
             (INCREMENT_CURVE, "Largest strain increment"),
             (TOLERANCE_CURVE, "Tolerance of the residual"),
             (DAMAGE_CURVE, "How f grows"),
-            (GRIP_CURVE, "Length held at either end, mesh"),
+            (GRIP_CURVE, "Length held at either end"),
         ):
+            if not any(r.curve == curve for r in errors.rows):
+                continue
             lines += [
                 f"{title}: peak force / N, in brackets the strength left / %",
                 "",
@@ -125,6 +129,10 @@ def _order_lines(errors: Errors) -> list[str]:
     if len(finite) >= 2:
         order = observed_order(finite, [known[x] for x in finite])
         lines.append(f"increment: observed order of the strength left {order:.1f}")
+    spread = {t: errors.scatter(t) for t in errors.times if weeks(t) > 0.0}
+    if np.isfinite(list(spread.values())).any():
+        words = ", ".join(f"{100 * value:.2f} % ({t})" for t, value in spread.items())
+        lines.append(f"scatter of the strength left over meshes of about one size: {words}")
     most = max(r.iterations for r in errors.rows)
     stopped = [r for r in errors.rows if r.status.startswith("stopped")]
     lines.append(

@@ -19,7 +19,6 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 
@@ -33,7 +32,6 @@ from pipeline.scene.resolve import resolve_scene
 from pipeline.scene.scene import Scene
 from pipeline.scene.units import parse_immersion_times
 
-SURFACE_FILE = "surface.npz"
 LIMIT_SECONDS = 600.0
 """Processor time after which a pull is given up."""
 
@@ -153,6 +151,7 @@ class Workshop:
             metal_of,
         )
         from pipeline.stages.doses import doses, kernel_of
+        from pipeline.stages.geometry import write_surface
 
         if rate_change is not None:
             changes["corrosion"] = {**changes.get("corrosion", {}), "rate_change": rate_change}
@@ -184,7 +183,7 @@ class Workshop:
         dose = doses(result.scene, result.concentration) if by_exposures else None
         more: dict[str, object] = {}
         if dose is not None:
-            np.savez(self.folder / SURFACE_FILE, points=solid.points, triangles=solid.triangles)
+            write_surface(self.folder, solid)
             names = ("horizon", "kernel_exponent", "influence")
             more = dict(zip(names, kernel_of(scene), strict=True))
         if exposed is not None:
@@ -329,42 +328,27 @@ def _overdue(number: int, frame: object) -> None:
 
 def pull_once(folder: Path, pull: Pull, limit: float = LIMIT_SECONDS) -> Row:
     """Do one pull in this process, on one thread."""
-    from fem.constitutive.hardening import VoceHardening
-    from fem.constitutive.material import Material
-    from fem.solid import Grips
-    from fem.strength import TensileSettings, tensile_test
-    from pipeline.stages.strength import first_increment
+    from fem.strength import tensile_test
+    from pipeline.stages.strength import material_of, settings_of
 
     scene = resolve_scene([pull.alloy], ["0w"], "quick")
     values, test = scene.alloy(pull.alloy).material, scene.tensile
+    test = replace(
+        test, element=pull.element, increment=pull.increment, damage=pull.damage,
+        damage_length=pull.damage_length, peak_drop=pull.peak_drop or test.peak_drop,
+    )  # fmt: skip
     if pull.grip is not None:
         test = replace(test, bottom_grip=pull.grip, top_grip=pull.grip)
-    test = replace(test, increment=pull.increment, peak_drop=pull.peak_drop or test.peak_drop)
     with np.load(_mesh_path(folder, pull.mesh_size, pull.mesh_size_fine, pull.ends)) as mesh:
         points, cells = mesh["points"], mesh["cells"]
     with np.load(_field_path(folder, pull.field, pull.alloy, pull.immersion)) as field:
         damage = mapped_damage(points, cells, pull, field, 1.0 / values.q1, folder)
-    grips = Grips(test.bottom_grip, test.top_grip, test.lateral)
+    settings = replace(settings_of(test), tolerance=pull.tolerance, threads=1)
     begun = time.process_time()
     signal.signal(signal.SIGPROF, _overdue)
     signal.setitimer(signal.ITIMER_PROF, limit)
     try:
-        result = tensile_test(
-            points, cells, damage,
-            Material(
-                values.young_modulus, values.poisson_ratio,
-                VoceHardening(
-                    values.initial_yield_stress, values.hardening_capacity, values.hardening_rate
-                ),
-                values.q1,
-            ),
-            TensileSettings(
-                pull.element, test.final_strain, first_increment(test), pull.increment,
-                peak_drop=test.peak_drop, tolerance=pull.tolerance, damage=pull.damage,
-                damage_length=pull.damage_length, threads=1,
-                grips=grips,
-            ),
-        )  # fmt: skip
+        result = tensile_test(points, cells, damage, material_of(values), settings)
     except _Overdue:
         seconds = time.process_time() - begun
         return Row(
@@ -397,34 +381,19 @@ def mapped_damage(points, cells, pull: Pull, field, maximum: float, folder: Path
     By exposures where the field has doses, as in a run.  folder: where the surface is, and where
     what the points see is kept.
     """
-    from fem.quadrature import quadrature_points, sampling_points
-    from pipeline.stages.damage_map import conserved, conserving_map, lost_volume_on_lattice
-    from pipeline.stages.doses import damage_by_dose, exposure_at, skin_exposure, skin_points
+    from pipeline.stages.geometry import read_surface
+    from pipeline.stages.mapping import Lost, Seen, map_lost
 
-    by_dose = "dose" in field
-    if pull.samples is None:
-        at, weights = quadrature_points(points, cells, pull.element)
-    else:
-        at, weights = (skin_points if by_dose else sampling_points)(points, cells, pull.samples)
-    place = (field["origin"], field["spacing"])
-    lost = (field["concentration"], field["metal"], field["solid"])
-    if by_dose:
-        with np.load(folder / SURFACE_FILE) as surface:
-            solid = SimpleNamespace(points=surface["points"], triangles=surface["triangles"])
+    seen = None
+    if "dose" in field:
         kernel = (field["horizon"].item(), field["kernel_exponent"].item(), str(field["influence"]))
-        if pull.samples is None:
-            seen = exposure_at(at, solid, kernel, folder)
-        else:
-            seen = skin_exposure(points, cells, solid, kernel, folder, pull.samples)
-        held = field["capacity"] * np.prod(field["spacing"])
-        whole, _, _ = conserved(
-            damage_by_dose(at, seen, *place, field["dose"]), weights,
-            lost_volume_on_lattice(*lost, held),
-        )  # fmt: skip
-    else:
-        whole, _, _ = conserving_map(at, weights, *place, *lost, field["capacity"])
-    damage = np.minimum(whole, maximum)
-    return damage if pull.samples is None else np.average(damage, 1, weights)[:, None]
+        seen = Seen(read_surface(folder), kernel, field["dose"])
+    lost = Lost(
+        field["origin"], field["spacing"], field["concentration"], field["metal"],
+        field["capacity"], field["solid"], seen,
+    )  # fmt: skip
+    mapped = map_lost(points, cells, lost, pull.element, pull.samples, folder)
+    return mapped.cut_off(maximum) if pull.samples is None else mapped.cell_means(maximum)
 
 
 def weeks(label: str) -> float:

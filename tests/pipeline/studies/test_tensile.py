@@ -1,13 +1,16 @@
 """The studies of the tensile stage and of the whole life cycle: arithmetic, tables, presets."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fem.quadrature import quadrature_points
+from pipeline.scene.mapping import mapping_of
+from pipeline.scene.mechanics import EXPOSURES
 from pipeline.scene.resolution import NAMES, read_presets
+from pipeline.scene.resolve import resolve_scene
 from pipeline.studies import life_cycle
 from pipeline.studies import tensile as study
 from pipeline.studies import tensile_results as results
@@ -136,7 +139,52 @@ def test_every_pull_of_the_study_is_planned_with_its_intact_screw():
         for element, size in meshes:
             times = {p.immersion for p in pulls if (p.curve, p.mesh_size) == (element, size)}
             assert times == {"0w", "8w"}
+        near = {p.mesh_size for p in pulls if p.curve == study.SCATTER_CURVE}
+        assert min(near) < study.QUICK[0] < max(near) < 1.05 * study.QUICK[0]
     assert len(study.plan_pulls(["A"], ["8w"], True)) > len(study.plan_pulls(["A"], ["8w"]))
+
+
+def test_the_study_pulls_what_a_run_pulls_and_goes_on_where_it_was(tmp_path, monkeypatch):
+    scenes, asked = [], []
+
+    def corrode(self, alloy, immersion, name="", **changes):
+        assert name == "" and self.folder == tmp_path
+        scenes.append(self.scene(alloy, immersion, **changes))
+
+    def pull(self, pulls, workers, done):
+        asked.extend(pulls)
+        for p in pulls:
+            done(Row(**asdict(p), peak_force=1.0, strain_at_peak=0.1, status="completed"))
+
+    monkeypatch.setattr(Workshop, "corrode", corrode)
+    monkeypatch.setattr(Workshop, "pull", pull)
+    rows = tmp_path / "rows.csv"
+    found = study.study_tensile(["Mg-5Gd"], ["8w"], workers=1, rows=rows, keep=tmp_path)
+    (scene,) = scenes
+    assert scene == resolve_scene(["Mg-5Gd"], ["0w", "8w"], "quick")
+    assert mapping_of(scene, scene.tensile) == EXPOSURES
+    run = (scene.tensile.element, scene.mesh.size, scene.mesh.size_fine, scene.tensile.increment)
+    plain = [p for p in asked if (p.element, p.mesh_size, p.mesh_size_fine, p.increment) == run]
+    assert any((p.damage, p.samples, p.grip, p.field) == ("cell", 1, None, "") for p in plain)
+    assert len({study._identity(p) for p in asked}) == len(asked) < len(found.rows)
+    assert read_rows(rows) == list(found.rows)
+
+
+def test_the_scatter_is_the_spread_over_meshes_of_about_one_size():
+    rows = rows_of_order_one()
+    size, cells = 0.25e-3, 64
+    for t, force in (("0w", 450.0), ("8w", 300.0)):
+        base = next(r for r in rows if (r.curve, r.immersion, r.mesh_size) == ("P2", t, size))
+        for near, factor in ((0.98 * size, 1.0), (1.02 * size, 1.02)):
+            more = {"mesh_size": near, "mesh_size_fine": near, "cells": cells}
+            corroded = force * factor if t != "0w" else force
+            rows.append(replace(base, curve=study.SCATTER_CURVE, peak_force=corroded, **more))
+    whole = study.Study(tuple(rows))
+    # 300/450, 306/450 and, of the mesh between, 270 (1 + 0.05) / 450
+    ratios = np.array([300.0, 306.0, 270.0 * 1.05]) / 450.0
+    assert study.Errors(whole, "Mg").scatter("8w") == pytest.approx(np.ptp(ratios) / ratios.mean())
+    assert any("meshes of about one size: 7.59 % (8w)" in line for line in results.tables(whole))
+    assert np.isnan(study.Errors(study.Study(tuple(rows_of_order_one())), "Mg").scatter("8w"))
 
 
 def test_a_pull_is_done_once_in_a_process_of_its_own_and_given_up_in_time(tmp_path, monkeypatch):
