@@ -29,7 +29,6 @@ from pipeline.scene.command.alloy_command import add_alloy_options
 from pipeline.scene.command.options import add_scene_options
 from pipeline.scene.command.parser import OneSentenceParser
 from pipeline.scene.command.scene_file import KINDS, localised_kind, take_scene_file
-from pipeline.scene.holding import held_in_words
 from pipeline.scenes.command import add_scenes_options
 from pipeline.studies.command import add_study_options
 
@@ -190,7 +189,7 @@ def _run(options: argparse.Namespace) -> int:
         run_file(options, print)
         return 0
     from pipeline.record.progress import progress_for
-    from pipeline.run import carry_out, resolved, told
+    from pipeline.run import carry_out, how_sure, resolved, told
 
     scene, solid = resolved(options)
     with progress_for(sys.stderr, options.quiet, options.log) as progress:
@@ -199,10 +198,7 @@ def _run(options: argparse.Namespace) -> int:
         print(json.dumps(told(folder, scene, rows), indent=2))
         return 0
     print_summary(rows)
-    for hold in scene.holds:
-        grips = hold.tensile.bottom_grip, hold.tensile.top_grip
-        print(f"{hold.name}: {held_in_words(hold.name, *grips)}")
-    print("strength left: of the same solid, held alike, before immersion")
+    print(*how_sure(folder), sep="\n")
     if options.samples is not None:
         from pipeline.record.bands import BANDS_FILE, print_bands, read_bands
 

@@ -129,14 +129,31 @@ def carry_out(
     return folder, run_with_bands(scene, folder.path, options.samples, **shared)
 
 
+def how_sure(folder: RunFolder) -> list[str]:
+    """How each solid of a run was held and how sure its numbers are, in lines for a reader."""
+    from pipeline.record.run_results import read_run
+    from pipeline.report.sure import in_words
+
+    return in_words(read_run(folder.path, fields=False))
+
+
 def told(folder: RunFolder, scene: Scene, rows: Sequence[SummaryRow]) -> dict[str, object]:
-    """What a run found, for a program: rows of summary.csv, bands, when it is too weak, files."""
+    """What a run found, for a program: rows of summary.csv, bands, when it is too weak, files.
+
+    Beside these how each solid was held, how sure that is, what the run checked of itself, and
+    every assumed or fitted value, as the report has them.
+    """
     from dataclasses import asdict
 
     from pipeline.record.bands import BANDS_FILE, read_bands
+    from pipeline.record.run_results import read_run
     from pipeline.record.summary import columns
     from pipeline.record.until import UNTIL_FILE, read_until
+    from pipeline.report.doubts import checks
+    from pipeline.report.provenance import parameter_rows, to_be_listed
+    from pipeline.report.sure import held, how_sure
 
+    results = read_run(folder.path, fields=False)
     report = folder.report_file
     return {
         "folder": str(folder.path.absolute()),
@@ -147,4 +164,8 @@ def told(folder: RunFolder, scene: Scene, rows: Sequence[SummaryRow]) -> dict[st
         ],
         "bands": [asdict(row) for row in read_bands(folder.path / BANDS_FILE)],
         "until": [asdict(row) for row in read_until(folder.path / UNTIL_FILE)],
+        "held": held(scene),
+        "how_sure": [asdict(row) for row in how_sure(results)],
+        "doubts": checks(results),
+        "assumed": [asdict(row) for row in to_be_listed(parameter_rows(scene))],
     }

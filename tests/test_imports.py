@@ -158,7 +158,7 @@ BELOW = {
             "scenes",
         },
         "known": set(),
-        "run": {"scene", "record", "stages", "planning", "life_cycle", "campaigns"},
+        "run": {"scene", "record", "stages", "planning", "report", "life_cycle", "campaigns"},
         "examples": set(),
         "api": {"scene", "record", "stages", "planning", "report", "export", "run"},
         "cli": {

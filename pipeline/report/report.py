@@ -34,6 +34,7 @@ from pipeline.report.picture_set import PictureSet, make_pictures, times_shown
 from pipeline.report.pictures import DAMAGE_COLOURS, MAXIMUM_DAMAGE, SIZE, write_overview
 from pipeline.report.shares import share_tables
 from pipeline.report.solid_view import solid_view
+from pipeline.report.sure import held
 from pipeline.report.templating import environment, script
 from pipeline.report.wording import (
     caption,
@@ -170,30 +171,23 @@ def _answer(run: RunResults, alloy: AlloyResult, load: LoadNames) -> str:
 
 def _holds(run: RunResults) -> list[dict[str, object]]:
     """Each way of holding: its question, its grips, and what each alloy keeps by time."""
-    found = []
-    for hold in run.scene.holds:
-        words, test = HOLDINGS[hold.name], hold.tensile
-        depths = (_depth(test.bottom_grip), _depth(test.top_grip))
-        found.append(
-            {
-                "name": hold.name,
-                "part": words.part,
-                "question": words.question,
-                "grips": f"{words.grips} (bottom {depths[0]}, top {depths[1]})",
-                "alloys": [
-                    (
-                        alloy.name,
-                        [
-                            percent(item.strength_ratio) if item.strength_ratio is not None else "–"
-                            for item in alloy.immersions
-                            if item.seconds > 0
-                        ],
-                    )
-                    for alloy in run.held[hold.name]
-                ],
-            }
-        )
-    return found
+    return [
+        {
+            **words,
+            "alloys": [
+                (
+                    alloy.name,
+                    [
+                        percent(item.strength_ratio) if item.strength_ratio is not None else "–"
+                        for item in alloy.immersions
+                        if item.seconds > 0
+                    ],
+                )
+                for alloy in run.held[hold.name]
+            ],
+        }
+        for hold, words in zip(run.scene.holds, held(run.scene), strict=True)
+    ]
 
 
 def _published(run: RunResults) -> dict[str, object] | None:
@@ -209,10 +203,6 @@ def _published(run: RunResults) -> dict[str, object] | None:
         "inferred": published.INFERRED,
         "unsaid": published.UNDECIDED,
     }
-
-
-def _depth(length: float) -> str:
-    return format_length(length).replace("um", "µm") if length > 0 else "its face"
 
 
 def _solid_in_words(run: RunResults) -> str:

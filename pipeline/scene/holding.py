@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 from pipeline.scene.image import ImageFile
 from pipeline.scene.scene import Geometry, SceneError, ScrewGeometry
-from pipeline.scene.units import format_length
 
 GIVEN = "own"
 """Name of a way of holding whose depths were given one by one."""
@@ -52,13 +51,6 @@ HOLDINGS: dict[str, Holding] = {
         "How strong is what lies between grips of these depths?",
     ),
 }
-
-
-def held_in_words(name: str, bottom: float, top: float) -> str:
-    """What a way of holding tests and holds, with the depths (m) of its grips."""
-    words = HOLDINGS[name]
-    depths = f"bottom {format_length(bottom)}, top {format_length(top)}"
-    return f"{words.part}, held at {words.grips} ({depths})"
 
 
 ALL = ("shank", "slot", "faces")

@@ -114,6 +114,8 @@ def test_a_program_reads_one_object_and_a_log(run, tmp_path, capsys):
     assert Path(told["folder"]) == run[0] and Path(told["report"]).is_file()
     assert list(told["rows"][0]) == table[0].split(",") and len(told["rows"]) == len(table) - 1
     assert told["rows"][1]["strength_ratio"] == pytest.approx(float(table[2].split(",")[6]))
+    assert [way["name"] for way in told["held"]] == ["shank"] and told["doubts"]
+    assert {row["alloy"] for row in told["how_sure"]} == set(ALLOYS) and told["assumed"]
     events = [json.loads(line) for line in log.read_text().splitlines()]
     reused = [event["what"] for event in events if event["event"] == "reused"]
     assert "corrode Mg-5Gd" in reused and len(reused) == 1 + 2 + 4 + 4 + 1

@@ -15,7 +15,7 @@ from pipeline.record.stage_hashes import (
     pull_hash,
 )
 from pipeline.scene.command.options import add_scene_options, scene_from_options
-from pipeline.scene.holding import HOLDINGS, held_in_words
+from pipeline.scene.holding import HOLDINGS
 from pipeline.scene.laws.rate_law import KINETICS
 from pipeline.scene.loads import LOADS
 from pipeline.scene.mechanics import DAMAGE_UPDATES
@@ -421,9 +421,3 @@ def test_the_load_comes_from_the_command_line_and_only_the_test_depends_on_it():
     test = ("Mg-5Gd", time, pulled.holds[0])
     assert map_hash(bent, *test) == map_hash(pulled, *test)
     assert pull_hash(bent, "Mg-5Gd", time, bent.holds[0]) != pull_hash(pulled, *test)
-
-
-def test_a_way_of_holding_says_what_it_tests_and_how_deep_it_holds():
-    said = held_in_words("slot", 0.7e-3, 0.3e-3)
-    assert said.startswith("the slotted section, held at the bottom")
-    assert said.endswith("(bottom 700 um, top 300 um)")
