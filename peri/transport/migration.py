@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from peri.engine.solvers import ConvergenceError
 from peri.transport.chemistry.species import Chemistry
 from peri.transport.fluxes import migration, sqra, steps_of
 from peri.transport.liquid import Held, LiquidSpace
+
+LARGEST_EXPONENT = 690.0
+"""|z| psi / 2 of the largest drop in a liquid (its edge at 0 included), of which the factors of
+`sqra`, their products and these with 1e8 mol/m3 are doubles, which end at exp(709.78)."""
 
 
 class Migration:
@@ -52,8 +57,13 @@ class Migration:
 
         concentration : (K, n);  psi : (n,)
         edge : (K,) or (K, R), of what is held;  held_psi : there, a number or (R,)
+
+        Raises ConvergenceError for a potential, of a round that has lost its way, in which the
+        flux of `sqra` along a bond may be no double.
         """
         space = self.space
+        if self.form == "sqra":
+            self._check(psi, held_psi)
         out = np.zeros((self.components, space.n))
         for z, carried in self._carriers.items():
             if self.form == "sqra":
@@ -73,3 +83,13 @@ class Migration:
                         )
                     )
         return out
+
+    def _check(self, psi: np.ndarray, held_psi: Held) -> None:
+        """Refuse a drop beyond LARGEST_EXPONENT, before exp overflows."""
+        drop = self.space.range(np.append(psi, held_psi))
+        charge = max(map(abs, self._carriers), default=0.0)
+        if not 0.5 * charge * drop <= LARGEST_EXPONENT:
+            raise ConvergenceError(
+                f"potential: {drop:.2g} RT/F in the liquid, of which ions of charge {charge:g} "
+                "have no flux; a shorter step or a smaller current will do"
+            )
