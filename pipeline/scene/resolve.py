@@ -78,7 +78,7 @@ def resolve_scene(
     """
     preset = resolution(resolution_name)
     times = parse_immersion_times(immersion)
-    fits = [_fit_of(perilife_data.load_alloy(name), parameter_set) for name in alloys]
+    fits = [fit_of(perilife_data.load_alloy(name), parameter_set) for name in alloys]
     scenes = tuple(_alloy_scene(name, fit) for name, fit in zip(alloys, fits, strict=True))
     known = [fit for fit in fits if fit is not None]
     corrosion = dict(corrosion or {})
@@ -185,7 +185,7 @@ def solid_file(path: str | Path, unit: str) -> SolidFile:
     return SolidFile(str(path.resolve()), unit, digest)
 
 
-def _fit_of(alloy: perilife_data.Alloy, parameter_set: str | None) -> OwnCorrosion | None:
+def fit_of(alloy: perilife_data.Alloy, parameter_set: str | None) -> OwnCorrosion | None:
     """Constants of an alloy with the scene they belong to; None where nobody has fitted any.
 
     A set that is named goes before the alloy's own file.  Raises ValueError where it lacks the
@@ -221,9 +221,10 @@ def _boundary(known: Sequence[OwnCorrosion]) -> str:
     return boundaries[0] if boundaries else DomainSettings().boundary
 
 
-def _corrosion_parameters(
+def corrosion_parameters(
     alloy: perilife_data.Alloy, fit: OwnCorrosion | None
 ) -> CorrosionParameters:
+    """Constants of a fit as a scene has them, SI; of an alloy without one C_solid alone."""
     if fit is None:
         return CorrosionParameters(float(alloy.solid_concentration), None, None, None, None)
     fitted, scene = fit.parameters, fit.scene
@@ -254,7 +255,7 @@ def _alloy_scene(name: str, fit: OwnCorrosion | None) -> AlloyScene:
     return AlloyScene(
         name=alloy.name,
         source=str(name),
-        corrosion=_corrosion_parameters(alloy, fit),
+        corrosion=corrosion_parameters(alloy, fit),
         material=MaterialParameters(
             young_modulus=float(alloy.young_modulus),
             poisson_ratio=float(alloy.poisson_ratio),

@@ -26,6 +26,8 @@ OF_A_FILE = (
     "scene", "out", "quiet", "resume", "json", "spacing", "immersion", "ranks", "oversubscribe",
 )  # fmt: skip
 """Options of `perilife run` that a scene of localised corrosion takes, too."""
+KEYS_INSTEAD = {"parameters": "parameters", "alloy": "alloy", "solid": "file"}
+"""Option of a life cycle -> the key of [metals.NAME] that says the same of a couple's metal."""
 STAGE = "scene"
 CHECKPOINT = "march.h5"
 BYTES_PER_NODE = 1000.0
@@ -156,8 +158,14 @@ def _refuse_others(options: argparse.Namespace) -> None:
         if name not in OF_A_FILE and getattr(options, name, default) != default:
             raise ValueError(
                 f"--{name.replace('_', '-')} is of a life cycle; a scene of localised corrosion "
-                f"takes {', '.join(f'--{n}' for n in OF_A_FILE)}"
+                f"takes {', '.join(f'--{n}' for n in OF_A_FILE)}{_instead(name)}"
             )
+
+
+def _instead(name: str) -> str:
+    """Which key of a metal says what an option says of a life cycle, where one does."""
+    key = KEYS_INSTEAD.get(name)
+    return f"; a galvanic scene or a couple has it as {key} of [metals.NAME]" if key else ""
 
 
 def _check_ranks(options: argparse.Namespace, name: str, ready: Prepared) -> None:

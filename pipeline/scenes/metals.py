@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from typing import TypeVar
 
@@ -21,6 +21,7 @@ from peri.transport.potential.conductivity import (
 )
 from peri.transport.potential.polarization import Insulated, LinearPolarization, Polarization
 from perilife_data import (
+    Alloy,
     Electrode,
     common_reference,
     load_alloy,
@@ -29,11 +30,17 @@ from perilife_data import (
     load_reaction_set,
 )
 from pipeline.scene.laws.polarization import polarization_law
+from pipeline.scene.resolve import corrosion_parameters, fit_of
 from pipeline.scenes.bodies import BODY_KEYS
 from pipeline.scenes.keys import TEXT, Given, Key, positive
 from pipeline.scenes.outcome import Value
+from pipeline.stages.corrosion import dissolution_flux
 
 T = TypeVar("T")
+OWN = "own"
+"""Parameters of a metal: those of its alloy's own file."""
+USED = ("solid_concentration", "interface_diffusivity", "volume_loss_scale", "kernel_exponent")
+"""Constants of a parameter set that a couple has a use for; its liquid has [ions] of its own."""
 LAWS = ("linear", "tafel", "butler-volmer", "insulated")
 METAL_KEYS: dict[str, Key] = {
     **BODY_KEYS,
@@ -48,7 +55,15 @@ METAL_KEYS: dict[str, Key] = {
     "potential": Key("electric potential", "of the metal (0 V: all are joined by a wire)", "0V"),
     "dissolves": Key(TEXT, "whether it does (no)", "yes", allowed=("yes", "no")),
     "alloy": Key(TEXT, "name of a shipped alloy, or a TOML file like one", "Mg-5Gd"),
-    "solid_concentration": positive("concentration", "in place of the alloy's", "67860 mol/m^3"),
+    "parameters": Key(
+        TEXT,
+        "gives its alloy solid_concentration, self_corrosion (by D_int) and volume_loss_scale as "
+        "in a life cycle: a parameter set, TOML file of one (of a fit), or own: the alloy's file",
+        "fits/mine/parameters.toml",
+    ),
+    "solid_concentration": positive(
+        "concentration", "in place of the alloy's or the set's", "67860 mol/m^3"
+    ),
     "charge_number": positive("dimensionless", "of the ion, in place of the alloy's", 2),
     "self_corrosion": Key(
         "surface reaction rate", "of a fresh surface, without a couple", "1e-6 mol/(m^2 s)",
@@ -97,9 +112,11 @@ class Beside:
 
     values: dict[str, Value] = field(default_factory=dict)
 
-    def add(self, name: str, data: object) -> None:
-        """All quantities of an electrode or alloy."""
+    def add(self, name: str, data: object, only: Collection[str] = ()) -> None:
+        """All quantities of an electrode or alloy, or only those named."""
         for quantity, q in data.quantities().items():  # type: ignore[attr-defined]
+            if only and quantity not in only:
+                continue
             where = f"{q.where} ({q.conditions})" if q.conditions else q.where
             self.values[f"{name}: {quantity}"] = Value(q.si, "SI", q.source, where, q.kind)
 
@@ -247,23 +264,53 @@ def _dissolving(given: Given, table: str, beside: Beside) -> dict:
     dissolves = f"{table}.dissolves" in given and given.text(f"{table}.dissolves") == "yes"
     if not dissolves:
         return out
-    if f"{table}.alloy" in given:
+    known: dict[str, float] = {}
+    if f"{table}.alloy" in given or f"{table}.parameters" in given:
         alloy = load_alloy(given.text(f"{table}.alloy"))
         beside.add(alloy.name, alloy)
-        out |= {
+        known = {
             "solid_concentration": alloy.solid_concentration.si,
             "charge_number": alloy.charge_number.si,
         }
-    for name in ("solid_concentration", "charge_number"):
+        if f"{table}.parameters" in given:
+            known |= _of_a_set(given.text(f"{table}.parameters"), alloy, beside)
+    for name in ("solid_concentration", "charge_number", "self_corrosion", "volume_loss_scale"):
         if f"{table}.{name}" in given:
-            out[name] = given.number(f"{table}.{name}")
-        elif name not in out:
+            known[name] = given.number(f"{table}.{name}")
+    for name in ("solid_concentration", "charge_number"):
+        if name not in known:
             raise ValueError(f"{given.file}: {table}.{name} is missing; a metal that dissolves "
                              "needs it, or an alloy")  # fmt: skip
-    if f"{table}.self_corrosion" in given:
-        flux = given.number(f"{table}.self_corrosion")
-        out["self_corrosion"] = out["charge_number"] * FARADAY * flux
+        out[name] = known[name]
+    if "self_corrosion" in known:
+        out["self_corrosion"] = out["charge_number"] * FARADAY * known["self_corrosion"]
     law: Kinetics = ConstantRate()
-    if f"{table}.volume_loss_scale" in given:
-        law = VolumeLossLaw(given.number(f"{table}.volume_loss_scale"))
+    if "volume_loss_scale" in known:
+        law = VolumeLossLaw(known["volume_loss_scale"])
     return {**out, "kinetics": law}
+
+
+def _of_a_set(name: str, alloy: Alloy, beside: Beside) -> dict[str, float]:
+    """What a parameter set says of an alloy that corrodes by itself in clean liquid, SI.
+
+    name : of a set, a TOML file, or OWN: the constants of the alloy's own file.
+    """
+    fit = fit_of(alloy, None if name == OWN else name)
+    if fit is None:
+        raise ValueError(
+            f"parameters is '{OWN}', but the file of alloy '{alloy.name}' has no [corrosion]; it "
+            "must be a parameter set, as `perilife calibrate` writes it"
+        )
+    constants = corrosion_parameters(alloy, fit)
+    flux = dissolution_flux(constants, float(fit.parameters.kernel_exponent))
+    called = f"{alloy.name}, parameters"
+    beside.add(called, fit.parameters, USED)
+    beside.values[f"{called}: self_corrosion"] = Value(
+        flux, "mol/(m^2 s)", "", "D_int C_solid S of the lattice that the set is for", "derived"
+    )
+    assert constants.volume_loss_scale is not None
+    return {
+        "solid_concentration": constants.solid_concentration,
+        "self_corrosion": flux,
+        "volume_loss_scale": constants.volume_loss_scale,
+    }

@@ -4,13 +4,17 @@ import csv
 import json
 import re
 from dataclasses import fields, is_dataclass
+from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 
 from peri.corrosion.interface.faradaic import Faradaic
+from peri.corrosion.kinetics import VolumeLossLaw
+from peri.engine.constants import FARADAY
 from peri.engine.lattice import Lattice
+from perilife_data import load_parameter_set
 from perilife_data.references import FOLDER
 from pipeline.cli import main
 from pipeline.scenes import crevices, grains, pits, pits_2d
@@ -19,6 +23,7 @@ from pipeline.scenes.files import read_scene
 from pipeline.scenes.registry import KINDS, path_of, shipped
 from tests.pipeline.command_line import refused
 
+EXAMPLES = Path(__file__).parents[3] / "pipeline/examples"
 OWN = """
 kind = "galvanic"
 immersion = ["0s", "2h"]
@@ -104,6 +109,35 @@ def same(one: object, other: object) -> None:
                 same(a, b)
         else:
             assert mine == theirs or type(mine) is type(theirs) is Faradaic, item.name
+
+
+def test_a_metal_takes_the_constants_of_a_fit(tmp_path):
+    """As a life cycle turns them into a flux; what the file says itself goes before them."""
+
+    def pin(text: str):
+        (tmp_path / "own.toml").write_text(text)
+        ready = read_scene(tmp_path / "own.toml").prepared()
+        return ready.march.args[0].metals[1], ready
+
+    self_corrosion = OWN[OWN.index("self_corrosion") :]
+    plain = OWN.replace(self_corrosion, 'parameters = "table-5.1"\n')
+    metal, ready = pin(plain)
+    constants = load_parameter_set("table-5.1").for_alloy("Mg-5Gd")
+    # 1.85e-6 mol/(m2 s), as in screw-in-titanium-plate.toml
+    assert metal.self_corrosion == pytest.approx(2 * FARADAY * 1.85e-6, rel=3e-3)
+    assert metal.solid_concentration == constants.solid_concentration.si
+    assert metal.kinetics == VolumeLossLaw(constants.volume_loss_scale.si)
+    assert ready.beside["Mg-5Gd, parameters: interface_diffusivity"].value == 2.8779e-15
+    # a file of one's own, twice as fast
+    text = (FOLDER / "parameter_sets" / "table-5.1.toml").read_text(encoding="utf-8")
+    (tmp_path / "fit.toml").write_text(text.replace("2.8779e-15", "5.7558e-15"))
+    faster, _ = pin(plain.replace("table-5.1", str(tmp_path / "fit.toml")))
+    assert faster.self_corrosion == pytest.approx(2 * metal.self_corrosion, rel=1e-12)
+    slower, _ = pin(plain + self_corrosion)
+    assert slower.self_corrosion == pytest.approx(2 * FARADAY * 1e-7, rel=1e-12)
+    # the alloy's own file
+    own = pin(plain.replace("table-5.1", "own").replace("Mg-5Gd", str(EXAMPLES / "my-alloy.toml")))
+    assert own[0].kinetics == VolumeLossLaw(0.25)
 
 
 def test_the_files_make_the_scenes_of_the_studies():
@@ -224,6 +258,11 @@ CHANGES = [
     ('kind = "galvanic"', 'kind = "galvanic"\nalloy = "Mg-5Gd"', ["'alloy'", "at the top"]),
     ('shape = "ball"', 'shape = "screw"', ["three axes"]),
     ('kind = "galvanic"', 'kind = "couple"', ["an implant has 3"]),
+    ('"Mg-5Gd"', '"Mg-5Gd"\nparameters = "table-9"', ["parameter set 'table-9' is unknown"]),
+    ('"Mg-5Gd"', '"WE43"\nparameters = "table-5.1"', ["no alloy 'WE43'", "Mg-5Gd, Mg-10Gd"]),
+    ('"Mg-5Gd"', '"WE43"\nparameters = "own"', ["no [corrosion]", "calibrate"]),
+    ('alloy = "Mg-5Gd"', 'parameters = "own"', ["metals.pin.alloy is missing"]),
+    ('dissolves = "yes"', 'parameters = "own"', ["metals.pin.", "no use for it"]),
 ]
 
 
@@ -234,6 +273,15 @@ def test_what_a_file_must_not_hold_is_refused(old, new, words, tmp_path, capsys)
     file.write_text(OWN.replace(old, new, 1))
     refused(capsys, ["run", str(file), "--out", str(out)], *words)
     assert not out.exists()
+
+
+@pytest.mark.parametrize(("option", "key"), [("--parameters", "parameters"), ("--solid", "file")])
+def test_an_option_of_a_life_cycle_is_refused_with_a_metals_key(option, key, tmp_path, capsys):
+    file = tmp_path / "own.toml"
+    file.write_text(OWN)
+    words = f"{option} is of a life cycle", f"a couple has it as {key} of [metals.NAME]"
+    for command in ("plan", "run"):
+        refused(capsys, [command, str(file), option, "x.toml"], *words)
 
 
 def changed(name: str, *lines: tuple[str, str]) -> str:
