@@ -13,9 +13,9 @@ from math import isfinite
 from pathlib import Path
 
 from . import limits
-from .kinds_of_files import refuse_another_kind
 from .limits import Limits
 from .names import did_you_mean
+from .own_files import file_meant, refuse_another_kind, refuse_unfilled
 from .references import FOLDER, Reference, read_references, shipped_references
 from .schema import (
     KINDS,
@@ -36,8 +36,6 @@ CALIBRATIONS = ("closed", "discrete")
 SATURATIONS = ("as_published", "complementarity", "none")
 BOUNDARIES = ("refreshed", "no_flux")
 DOMAINS = ("cylinder", "ball")
-FILL_IN = "FILL IN"
-"""Stands in place of what template.py leaves open; a file that still holds it is refused."""
 
 _MOST_SAMPLES = 100_000
 
@@ -68,8 +66,6 @@ class Table:
         if default is not None and key not in self.entries:
             return default
         value = self._take(key)
-        if value == FILL_IN:
-            raise self.fail(key, f"is '{FILL_IN}'; it is still to be filled in")
         if not isinstance(value, str) or not (value.strip() or default == ""):
             raise self.fail(key, f"is {value!r}; it must be a text in quotes")
         if allowed and value not in allowed:
@@ -195,6 +191,7 @@ def read(path: Path) -> Table:
         raise ValueError(f"{path}: not a valid TOML file: {error}") from None
     except RecursionError:
         raise ValueError(f"{path}: not a file of this kind: it is nested too deeply") from None
+    refuse_unfilled(path.name, entries)
     sources = shipped_references()
     beside = path.parent / "references.bib"
     if FOLDER not in path.resolve().parents and beside.exists():
@@ -218,7 +215,7 @@ def path_of(folder: str, what: str, name: str | Path) -> Path:
     if isinstance(name, Path) or name.endswith(".toml"):
         return refuse_another_kind(what, Path(name))
     if name not in shipped(folder):
-        near = did_you_mean(name, shipped(folder))
+        near = file_meant(name) or did_you_mean(name, shipped(folder))
         raise ValueError(
             f"{what} '{name}' is unknown{near}; known are {', '.join(shipped(folder))}"
         )

@@ -2,7 +2,8 @@
 
 import re
 
-from .load import FILL_IN, list_alloys, load_alloy, load_elements, load_parameter_set, shipped
+from .load import list_alloys, load_alloy, load_elements, load_parameter_set, shipped
+from .own_files import FILL_IN
 from .schema import Quantity
 
 _HEAD = """# The alloy {name}: replace every "{mark}", numbers without quotes.

@@ -189,7 +189,7 @@ def _run(options: argparse.Namespace) -> int:
         run_file(options, print)
         return 0
     from pipeline.record.progress import progress_for
-    from pipeline.run import carry_out, how_sure, resolved, told
+    from pipeline.run import carry_out, files, how_sure, resolved, told
 
     scene, solid = resolved(options)
     with progress_for(sys.stderr, options.quiet, options.log) as progress:
@@ -209,9 +209,7 @@ def _run(options: argparse.Namespace) -> int:
         print("\nWhen is it too weak?")
         for row in read_until(folder.path / UNTIL_FILE):
             print(f"  {row.in_words()}")
-    print(f"\ntable:  {folder.summary_file}")
-    if folder.report_file.exists():
-        print(f"report: {folder.report_file} (how sure the numbers are, and what was assumed)")
+    print(*files(folder), sep="\n")
     return 0
 
 
@@ -268,9 +266,12 @@ def _pull(options: argparse.Namespace) -> int:
 
 
 def _report(options: argparse.Namespace) -> int:
+    from pipeline.run import files, how_sure
+
     def action(cycle, alloys, tests):
         print_summary(cycle.summarise())
         cycle.report(again=True)
+        print(*how_sure(cycle.folder), *files(cycle.folder), sep="\n")
 
     return _stages(options, action)
 

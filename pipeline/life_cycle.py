@@ -116,7 +116,7 @@ class StagedRun:
         times = self.scene.with_intact()
         if times != self.scene.immersion:
             self.progress.note(
-                "time zero was not asked for; the intact solid is pulled too, for the ratio"
+                "time zero was not asked for; the intact solid is pulled, too, to compare with"
             )
         names = [alloy.name for alloy in self.scene.alloys]
         tests = [(n, moment, h) for h in self.scene.holds for n in names for moment in times]

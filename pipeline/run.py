@@ -137,6 +137,15 @@ def how_sure(folder: RunFolder) -> list[str]:
     return in_words(read_run(folder.path, fields=False))
 
 
+def files(folder: RunFolder) -> list[str]:
+    """Where table and report of a run are, in lines for a reader, an empty one in front."""
+    lines = ["", f"table:  {folder.summary_file}"]
+    if folder.report_file.exists():
+        sure = "how sure the numbers are, and what was assumed"
+        lines.append(f"report: {folder.report_file} ({sure})")
+    return lines
+
+
 def told(folder: RunFolder, scene: Scene, rows: Sequence[SummaryRow]) -> dict[str, object]:
     """What a run found, for a program: rows of summary.csv, bands, when it is too weak, files.
 

@@ -44,6 +44,7 @@ def run_calibrate(options: argparse.Namespace, say: Callable[[str], None]) -> No
     from pipeline.calibration.calibrate import calibrate, free_and_held, measurements_of
     from pipeline.calibration.media import compare, write_comparison
     from pipeline.calibration.models import SEARCHED, Implant, marching_executor
+    from pipeline.calibration.parameter_file import SET_FILE
     from pipeline.calibration.writing import (
         begun_from,
         lines_of,
@@ -106,6 +107,11 @@ def run_calibrate(options: argparse.Namespace, say: Callable[[str], None]) -> No
         path, digest = Path(files[name]), measured[name][1]
         for written in write_calibration(folder, base, found, implant, path, digest):
             say(str(written))
+        say(
+            f"Then: perilife run --alloy {options.alloy[0]} --immersion 8w --parameters "
+            f"{folder / SET_FILE} --out runs/{alloy}; of a couple or a galvanic scene it is the "
+            "key parameters of [metals.NAME]"
+        )
     for written in () if comparison is None else write_comparison(out, comparison):
         say(str(written))
 

@@ -111,7 +111,7 @@ def in_lines(run: RunResults) -> dict[str | None, str]:
 def _errors(rows: list[Sure]) -> str:
     """The errors of several alloys from one source."""
     errors = [
-        f"{percent(row.relative_error, 1)} ({row.alloy})"
+        f"{percent(row.relative_error, 1 if row.relative_error >= 1e-3 else 2)} ({row.alloy})"
         for row in rows
         if row.relative_error is not None
     ]

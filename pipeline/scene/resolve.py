@@ -3,7 +3,7 @@
 import dataclasses
 import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import perilife_data
@@ -106,10 +106,20 @@ def resolve_scene(
         holds=_holds(
             hold, geometry, lattice, preset, MeshSettings(size, fine), dict(tensile or {})
         ),
-        measured_volume_loss=dict(measured_volume_loss or {}),
+        measured_volume_loss=_by_alloy(measured_volume_loss or {}, scenes),
         ions=ions,
     )
     return with_classes(scene) if classes == AUTO else scene
+
+
+def _by_alloy(measured: Mapping[str, str], alloys: Sequence[AlloyScene]) -> dict[str, str]:
+    """Files of measurements by the name of their alloy, which may be given by its file, too."""
+    names = {alloy.source: alloy.name for alloy in alloys} | {a.name: a.name for a in alloys}
+    for name in measured:
+        if name not in names:
+            known = " or ".join(alloy.name for alloy in alloys)
+            raise SceneError(f"volume loss is of '{name}'; it must be of {known}")
+    return {names[name]: path for name, path in measured.items()}
 
 
 def _holds(

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 import perilife_data
-from perilife_data.template import FILL_IN, alloy_like, alloy_template
+from perilife_data.own_files import FILL_IN
+from perilife_data.template import alloy_like, alloy_template
 
 VALUES = {
     "mass_fractions.Zn": 1,
@@ -98,6 +99,23 @@ def test_what_is_still_to_be_filled_in_is_named(key: str, tmp_path: Path) -> Non
     )
     with pytest.raises(ValueError, match=f"own.toml: {key}.* is '{FILL_IN}'; it "):
         perilife_data.load_alloy(written(tmp_path, left))
+
+
+def test_everything_that_is_still_to_be_filled_in_is_named_at_once(tmp_path: Path) -> None:
+    text = re.sub(r"(\[q1\]\nvalue = ).*", r"\g<1>1.5", alloy_template("ZX10"))
+    path = written(tmp_path, text)
+    with pytest.raises(ValueError, match="they are still to be filled in") as refusal:
+        perilife_data.load_alloy(path)
+    named = str(refusal.value).split(": ")[1].split(" are ")[0].split(", ")
+    quantities = [key for key in VALUES if not key.startswith("corrosion") and key != "q1"]
+    assert named == ["title", *quantities, "q1.source", "q1.where"]
+
+
+def test_a_name_without_the_ending_of_its_file_is_understood_as_such(tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    written(tmp_path, filled_in(alloy_template("ZX10")))
+    with pytest.raises(ValueError, match=r"'own' is unknown \(did you mean own.toml\?\)"):
+        perilife_data.load_alloy("own")
 
 
 def test_half_of_the_constants_is_refused(tmp_path: Path) -> None:

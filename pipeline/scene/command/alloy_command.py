@@ -19,7 +19,7 @@ def add_alloy_options(parser: argparse.ArgumentParser) -> None:
 
 def run_alloy(options: argparse.Namespace, say: Callable[[str], None]) -> None:
     """Write the file; ValueError or OSError with one sentence where that cannot be."""
-    from perilife_data.load import FILL_IN
+    from perilife_data.own_files import FILL_IN
     from perilife_data.template import alloy_like, alloy_template
 
     if options.what != "new":

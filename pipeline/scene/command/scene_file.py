@@ -22,7 +22,7 @@ from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 
 from perilife_data import did_you_mean
-from perilife_data.kinds_of_files import kind_of
+from perilife_data.own_files import kind_of
 from pipeline.scene.command.arguments import arguments_of, keyword, options_of, unknown_name
 from pipeline.scene.command.parser import OneSentenceParser
 from pipeline.scene.scene import Scene, SceneError, scene_from_json
@@ -39,6 +39,12 @@ GIVEN_BY = {
     "medium": "--medium",
 }
 """Kind of a file of one's own -> the option that takes it, where it was given as a scene."""
+
+GIVEN_BY_ENDING = {
+    **dict.fromkeys((".step", ".stp", ".brep", ".stl"), "--solid"),
+    **dict.fromkeys((".tif", ".tiff", ".mha", ".nrrd", ".nii"), "--image"),
+}
+"""Ending of a file that is no scene -> the option that takes it."""
 
 STORED = ".json"
 """Ending of a resolved scene; everything else is TOML."""
@@ -122,6 +128,12 @@ def _named(
                 rest.pop()
                 continue
         rest.append(word)
+    for name in found:
+        option = GIVEN_BY_ENDING.get(Path(name).suffix.lower())
+        if option:
+            raise ValueError(
+                f"scene file is '{name}', which is no scene; give it as {option} {name}"
+            )
     if len(found) > 1:
         raise ValueError(f"scene file is '{found[0]}' and '{found[1]}'; it must be one")
     return (Path(found[0]), rest) if found else (None, arguments)

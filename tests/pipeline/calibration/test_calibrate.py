@@ -116,6 +116,7 @@ def test_the_command_writes_a_set_that_a_run_takes(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "not identified, fixed at 0.6608 mol/m^3" in said
     assert "after   24 weeks" in said and "profile of l" in said
+    assert f"--parameters {out / 'parameters.toml'}" in said.splitlines()[-1]
     found = perilife_data.load_parameter_set(out / "parameters.toml")
     fitted = found.for_alloy("Mg-5Gd")
     assert fitted.interface_diffusivity.kind == "fitted"

@@ -13,7 +13,9 @@ from pipeline.cli import build_parser, main
 from pipeline.record.stage_hashes import corrosion_hash, geometry_hash, map_hash, pull_hash
 from pipeline.run import every_option, scene_of
 from pipeline.scene.command.arguments import keyword, options_of
-from pipeline.scene.command.scene_file import tables_of
+from pipeline.scene.command.scene_file import GIVEN_BY_ENDING, tables_of
+from pipeline.scene.image import SUFFIXES
+from pipeline.scene.resolve import SOLID_SUFFIXES
 from pipeline.scene.scene import Scene
 from tests.pipeline.command_line import refused, typed
 
@@ -90,6 +92,24 @@ def test_a_file_given_for_another_is_named(tmp_path, capsys) -> None:
     sets = ["run", "--alloy", "Mg-5Gd", *time, *out, "--parameters"]
     refused(capsys, [*sets, scene], "parameter set is", *words)
     refused(capsys, [*sets, alloy], "parameter set is", "the file of an alloy")
+
+
+def test_a_solid_or_an_image_given_as_a_scene_is_named_with_its_option(capsys) -> None:
+    assert set(GIVEN_BY_ENDING) == {*SOLID_SUFFIXES, *SUFFIXES} - {".nii.gz"}
+    for given in (["part.STEP"], ["--scene", "part.stl"], ["scene.toml", "part.stp"]):
+        refused(capsys, ["plan", *given], "is no scene", f"--solid {given[-1]}")
+    refused(capsys, ["run", "scan.tif", "--out", "x"], "--image scan.tif")
+
+
+def test_measurements_are_of_an_alloy_of_the_scene(tmp_path) -> None:
+    data, alloy = tmp_path / "mine.csv", str(EXAMPLES / "my-alloy.toml")
+    data.write_text("immersion time [w],volume loss [%]\n1,4\n")
+    both = {"alloy": [alloy, "Mg-5Gd"], "immersion": "8w"}
+    for name in ("Mg-example", alloy):
+        found = LifeCycle(**both, volume_loss=[f"{name}={data}"]).scene.measured_volume_loss
+        assert found == {"Mg-example": str(data)}
+    with pytest.raises(ValueError, match="is of 'Mg-10Gd'; it must be of Mg-example or Mg-5Gd"):
+        LifeCycle(**both, volume_loss=[f"Mg-10Gd={data}"])
 
 
 def test_a_file_says_what_the_options_say(tmp_path, capsys) -> None:

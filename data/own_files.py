@@ -1,11 +1,14 @@
-"""What a TOML file describes, by the keys at its top: so that one kind given for another is named.
+"""Files of one's own: one kind given for another, a name without its ending, what is not filled in.
 
-The files themselves do not say their kind; whatever reads one asks for the keys of its own.
+The files do not say their kind; whatever reads one asks for the keys of its own.
 """
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+
+FILL_IN = "FILL IN"
+"""Stands in place of what template.py leaves open; a file that still holds it is refused."""
 
 MARKS: dict[str, frozenset[str]] = {
     "alloy": frozenset({"dissolving_element"}),
@@ -42,3 +45,31 @@ def refuse_another_kind(what: str, path: Path) -> Path:
             f"{HOW_GIVEN.get(kind, '').format(path)}"
         )
     return path
+
+
+def refuse_unfilled(file: str, entries: Mapping[str, object]) -> None:
+    """Refuse a file with entries that are FILL_IN, naming all of them at once."""
+    left = list(_unfilled(entries))
+    if left:
+        several = len(left) > 1
+        raise ValueError(
+            f"{file}: {', '.join(left)} {'are' if several else 'is'} '{FILL_IN}'; "
+            f"{'they are' if several else 'it is'} still to be filled in"
+        )
+
+
+def _unfilled(entries: Mapping[str, object], table: str = "") -> Iterator[str]:
+    """Names of entries that are FILL_IN; of a quantity without value that of its table alone."""
+    for key, entry in entries.items():
+        if isinstance(entry, Mapping) and entry.get("value") == FILL_IN:
+            yield f"{table}{key}"
+        elif isinstance(entry, Mapping):
+            yield from _unfilled(entry, f"{table}{key}.")
+        elif entry == FILL_IN:
+            yield f"{table}{key}"
+
+
+def file_meant(name: str) -> str:
+    """` (did you mean NAME.toml?)` where there is such a file, or nothing."""
+    path = Path(f"{name}.toml")
+    return f" (did you mean {path}?)" if path.is_file() else ""
