@@ -27,7 +27,7 @@ from pipeline.record.summary import print_summary
 from pipeline.run import add_init_options, add_run_options, every_option, fitting_scene
 from pipeline.scene.command.alloy_command import add_alloy_options
 from pipeline.scene.command.options import add_scene_options
-from pipeline.scene.command.parser import OneSentenceParser
+from pipeline.scene.command.parser import OneSentenceParser, take_folder
 from pipeline.scene.command.scene_file import KINDS, localised_kind, take_scene_file
 from pipeline.scenes.command import add_scenes_options
 from pipeline.studies.command import add_study_options
@@ -79,7 +79,10 @@ def build_parser() -> argparse.ArgumentParser:
             stage.add_argument("--immersion", nargs="+", metavar="T", help="only these of the run")
         if name == "pull":
             add_machine_options(stage)
-    add_folder_options(add("report", _report, "summary.csv and report.html of a run folder"))
+        take_folder(stage)
+    report = add("report", _report, "summary.csv and report.html of a run folder")
+    add_folder_options(report)
+    take_folder(report)
     export = add("export", _export, "a corroded solid of a run folder for another program")
     add_export_options(export)
     measured = add("compare-image", _compare_image, "the loss in a later scan beside the computed")

@@ -10,6 +10,10 @@ from pipeline.scene.checks import SceneError, at_most
 from pipeline.scene.scene import Scene, ScrewGeometry
 from pipeline.scene.units import format_length
 
+SHORTEST, LONGEST = 0.1e-3, 1.0
+"""m; a solid whose longest side is outside has been read in another unit than it was drawn in."""
+UNIT_BY = {"file": "--unit", "image": "--voxel"}
+"""Kind of a geometry -> the option that says how long its numbers are."""
 CELLS_PER_FEATURE = 2
 """Lattice cells that the smallest feature of a solid must span."""
 
@@ -17,8 +21,18 @@ CELLS_PER_FEATURE = 2
 def check_sizes(scene: Scene, solid: Solid) -> None:
     """Refuse a lattice too coarse for the solid's smallest feature, and grips that leave no test.
 
-    Between the grips there must be two edges of the mesh at least.
+    Between the grips there must be two edges of the mesh at least.  A solid that is far too large
+    or small is refused by its size, before that shows in memory or grips.
     """
+    longest = float(np.ptp(solid.points, axis=0).max())
+    if not SHORTEST <= longest <= LONGEST:
+        option = UNIT_BY.get(scene.geometry.kind)
+        raise SceneError(
+            f"{solid.name} is {format_length(longest)} long; it must be "
+            f"{format_length(SHORTEST)} to {format_length(LONGEST)}"
+            + f" ({option} says how long its numbers are)"
+            * bool(option)
+        )
     length = float(np.ptp(solid.points[:, 2]))
     for hold in scene.holds:
         grips = (hold.tensile.bottom_grip, hold.tensile.top_grip)

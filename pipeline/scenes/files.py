@@ -214,9 +214,10 @@ def _lengths(value: object) -> object:
         return [_lengths(item) for item in value]
     assert isinstance(value, float)
     key = Key("length", "", "")
-    for unit, share in (("um", 1e-6), ("mm", 1e-3)):
+    units = (("um", 1e-6), ("mm", 1e-3))
+    for unit, share in units if abs(value) < 1e-4 else reversed(units):
         text = f"{value / share:.6g}{unit}"
-        if (abs(value) < 1e-4 or unit == "mm") and key.read(text, "") == value:
+        if key.read(text, "") == value:
             return text
     return f"{value!r}m"
 

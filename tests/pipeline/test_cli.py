@@ -189,6 +189,15 @@ def test_a_missing_file_or_a_wrong_unit_of_a_solid_is_refused(tmp_path, capsys):
     assert not (tmp_path / "run").exists()
 
 
+def test_a_solid_read_in_another_unit_is_refused_by_its_size(tmp_path, capsys):
+    path = tmp_path / "part.stl"
+    path.write_text(_solid(_tetrahedron()))
+    plan = ["plan", "--alloy", "Mg-5Gd", "--immersion", "8w", "--solid", str(path), "--unit"]
+    for unit, length in (("m", "4000 mm"), ("um", "4 um")):
+        words = f"part.stl is {length} long; it must be 100 um to 1000 mm", "--unit"
+        refused(capsys, [*plan, unit], *words)
+
+
 def test_a_poisson_ratio_of_one_half_in_an_own_alloy_is_refused(tmp_path, capsys):
     folder = Path(perilife_data.__file__).parent / "alloys"
     text = (folder / "mg-5gd.toml").read_text()

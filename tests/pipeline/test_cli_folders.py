@@ -168,6 +168,7 @@ def test_a_refusal_after_a_finished_stage_keeps_the_folder(tmp_path):
 def test_stage_commands_refuse_what_is_no_run_folder(tmp_path, capsys):
     for stage in ("corrode", "map", "pull", "report"):
         refused(capsys, [stage, "--out", str(tmp_path / "absent")], "does not exist")
+        refused(capsys, [stage, str(tmp_path / "absent"), "--quiet"], "does not exist")
         refused(capsys, [stage, "--out", str(tmp_path)], "no scene.json")
     assert list(tmp_path.iterdir()) == []
 

@@ -49,3 +49,14 @@ class OneSentenceParser(argparse.ArgumentParser):
                 for parser in action.choices.values():
                     names |= parser._names()
         return names
+
+
+def take_folder(parser: OneSentenceParser) -> None:
+    """Let a command of a run folder take it as its first word, without --out."""
+    parser.epilog = f"{parser.prog} DIR ... is {parser.prog} --out DIR ..."
+
+    def expand(arguments: list[str]) -> list[str]:
+        named = arguments[:1] and not arguments[0].startswith("-")
+        return ["--out", *arguments] if named else arguments
+
+    parser.expand = expand
