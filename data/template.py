@@ -122,7 +122,7 @@ def _table(key: str, unit: str = "", words: str = "", given: Quantity | None = N
     """One table: to fill in, or with a number that is assumed to begin with."""
     said = f"# {words}\n" if words else ""
     if given is None:
-        value, source, where, kind = f'"{FILL_IN}"', FILL_IN, FILL_IN, "published"
+        value, source, where, kind = f'"{FILL_IN}"', FILL_IN, FILL_IN, FILL_IN
     else:
         value, unit, kind = repr(given.value), given.unit, "assumed"
         source, where = given.source, f"{given.where}, of {_START[1]}"

@@ -41,6 +41,7 @@ def filled_in(text: str, corrosion: bool = False) -> str:
         pattern = rf"(?m)^(\[{re.escape(table)}\]\nvalue = ).*$"
         text = re.sub(pattern, rf"\g<1>{value!r}", text)
     text = text.replace(f'source = "{FILL_IN}"', 'source = "hermann2024"')
+    text = text.replace(f'kind = "{FILL_IN}"', 'kind = "published"')
     return re.sub(rf'(?m)^(\w+ = )"{FILL_IN}"', r'\1"here"', text)
 
 
@@ -108,7 +109,7 @@ def test_everything_that_is_still_to_be_filled_in_is_named_at_once(tmp_path: Pat
         perilife_data.load_alloy(path)
     named = str(refusal.value).split(": ")[1].split(" are ")[0].split(", ")
     quantities = [key for key in VALUES if not key.startswith("corrosion") and key != "q1"]
-    assert named == ["title", *quantities, "q1.source", "q1.where"]
+    assert named == ["title", *quantities, "q1.source", "q1.where", "q1.kind"]
 
 
 def test_a_name_without_the_ending_of_its_file_is_understood_as_such(tmp_path, monkeypatch) -> None:

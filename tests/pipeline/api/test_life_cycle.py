@@ -81,6 +81,7 @@ def test_numbers_are_si_and_texts_are_as_typed() -> None:
         ({"spacing": True}, ValueError, ["spacing is True"]),
         ({"resume": "yes"}, ValueError, ["resume is 'yes'", "true or false"]),
         ({"classes": 2.5}, ValueError, ["classes", "2.5"]),
+        ({"immersion": 8}, ValueError, ["immersion: 8 is 8 s", "write 8w, 8d or 8h"]),
         ({"diameter": -2e-3}, ValueError, ["-0.002m", "negative"]),
         ({"hold": ["--resume"]}, ValueError, ["hold is '--resume'", "hyphen"]),
     ],
