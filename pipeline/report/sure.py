@@ -17,7 +17,7 @@ NOT_MEASURED = (
     "not measured for this solid and these settings; a run with half of --spacing and --mesh-size "
     "shows it"
 )
-OWN_CHECK = "found by the run itself: the sampling of its surface"
+OWN_CHECK = "found by the run itself, of the sampling of its surface alone"
 
 
 @dataclass(frozen=True)
@@ -78,9 +78,7 @@ def _of_volume_loss(run: RunResults) -> Iterator[Sure]:
     for alloy in run.scene.alloys:
         named = ("volume_loss", alloy.name, None)
         if alloy.name in own:
-            yield Sure(
-                *named, own[alloy.name], "found by the run itself: the sampling of its surface"
-            )
+            yield Sure(*named, own[alloy.name], OWN_CHECK)
         if known is not None:
             yield Sure(*named, known.of(alloy.name), known.command, tuple(known.time))
         if known is None and alloy.name not in own:
@@ -115,7 +113,8 @@ def _errors(rows: list[Sure]) -> str:
         for row in rows
         if row.relative_error is not None
     ]
-    return f"within {', '.join(errors)} of its value, " if errors else ""
+    bound = "within" if rows[0].measured_of else "off by about"
+    return f"{bound} {', '.join(errors)} of its value, " if errors else ""
 
 
 def _source(row: Sure) -> str:

@@ -68,6 +68,7 @@ def test_what_was_not_measured_borrows_no_error(tmp_path):
     assert {row.relative_error for row in how_sure(run)} == {None}
     assert sum(NOT_MEASURED in line for line in in_words(run)) == 2
     run.alloys[0].corrosion_numbers["sampling_error"] = 0.0032
+    assert "volume loss: off by about 0.3 % (Mg-5Gd) of its value, found by" in in_words(run)[-1]
     own = how_sure(run)[0]
     assert (own.alloy, own.relative_error, own.measured_of) == ("Mg-5Gd", 0.0032, ())
     # nothing is lost of what was not immersed, and all of it left
