@@ -11,7 +11,8 @@ from pipeline.record.summary import columns, read_summary
 from pipeline.report import doubts
 from pipeline.report.provenance import parameter_rows, to_be_listed
 from pipeline.report.sure import NOT_MEASURED, how_sure, in_words
-from pipeline.run import told
+from pipeline.run import files, told
+from pipeline.run import how_sure as of_folder
 from pipeline.scene.resolution import RESOLUTIONS
 from pipeline.scene.scene import ScrewGeometry
 from pipeline.scene.screw import ScrewParameters
@@ -60,6 +61,15 @@ def test_a_terminal_has_a_line_for_each_way_of_holding(tmp_path):
     assert f"within {error} (Mg-5Gd), {error} (Mg-10Gd) of its value" in sure
     assert "bottom its face" in faces and "15.3 % (Mg-10Gd)" in unsure
     assert left.startswith("strength left:") and "0.8 % (Mg-10Gd)" in loss
+
+
+def test_a_run_and_a_report_end_alike_and_name_the_page(tmp_path):
+    run = read(tmp_path / "run")
+    folder = RunFolder(run.folder)
+    assert of_folder(folder) == in_words(run)
+    assert files(folder) == ["", f"table:  {folder.summary_file}"]
+    folder.report_file.write_text("page")
+    assert files(folder)[-1].startswith(f"report: {folder.report_file} (how sure")
 
 
 def test_what_was_not_measured_borrows_no_error(tmp_path):
