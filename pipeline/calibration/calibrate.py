@@ -201,7 +201,8 @@ def _fitted(
             f"parameter {', '.join(without)} does not act on the volume loss of this scene, and no "
             "other is free"
         )
-    held = {p.name: p.value for p in parameters if p.name in without}
+    # As given, even where that is outside of the range of the search.
+    held = {name: value for name, value in constants(scene, alloy).items() if name in without}
     chosen = [p for p in parameters if p.name in acting]
     marching = isinstance(model, MarchModel)
     unseen: dict[str, Direction] = {}

@@ -9,7 +9,7 @@ import pytest
 import perilife_data
 from pipeline.calibration.calibrate import calibrate, free_and_held, measurements_of
 from pipeline.calibration.fit import CalibrationError, Measurements
-from pipeline.calibration.models import Implant, ReducedModel, constants, march
+from pipeline.calibration.models import Implant, ReducedModel, constants, march, with_constants
 from pipeline.cli import main
 from pipeline.scene.resolve import resolve_scene
 from pipeline.scene.scene import DomainSettings, ScrewGeometry
@@ -52,6 +52,15 @@ def test_noiseless_data_give_the_published_constants_back(pin, noiseless):
     assert found.clean < 1e-4 and found.result.reached == found.result.starts
     assert found.without_effect == ("liquid_diffusivity", "saturation_concentration")
     assert "D_liq and C_sat have no effect in clean liquid" in found.sentences()[0]
+
+
+def test_what_has_no_effect_stays_as_given(pin, noiseless):
+    """Here a C_sat of less than the search's range."""
+    scene = with_constants(pin[0], "Mg-5Gd", {"saturation_concentration": 0.5})
+    free = ["volume_loss_scale", "saturation_concentration"]
+    found = calibrate(scene, "Mg-5Gd", noiseless[0], free=free, implant=pin[1], starts=1)
+    assert found.without_effect == ("saturation_concentration",)
+    assert found.held["saturation_concentration"] == 0.5
 
 
 def test_the_reduced_model_is_the_march_of_clean_liquid(pin, noiseless):
