@@ -57,7 +57,7 @@ def cut_cells() -> list[Result]:
         + moving
         + moving_plates((2,), 0.05)
         + layered_plates((2, 3, 4), 5, 0.05)
-        + stefan_fronts((2, 3, 4, 6), 0.1)
+        + stefan_fronts((2, 3, 4, 6), 0.1, 5)
         + edged_bodies((2, 3, 4), 0.03)
     )
 

@@ -10,9 +10,9 @@ concentration.  With G_ip = K Lambda_ip the bond sum that class p sees in truth 
 with C_solid in place of C_ip - C_j under Faraday's law, until the class is empty.
 mu and nu are balanced so that each class and each liquid cell has its own exposure,
 sum_j w_ij c_j nu_j mu_ip = G_ip (exact, last) and nu_j sum_ip v_ip mu_ip w_ij = G_j^liquid (of its
-liquid's mean, moved towards its middle's value: `at_middles`).  M is one number a pair: the form is
-symmetric, conserves the amount and keeps 0 <= C_j <= C_sat.  In clean liquid a class obeys
-C' = -k G_ip C, whatever the lattice.
+liquid's mean, moved towards its middle's value: `at_middles`; where the surface has moved,
+`_seen`).  M is one number a pair: the form is symmetric, conserves the amount and keeps
+0 <= C_j <= C_sat.  In clean liquid a class obeys C' = -k G_ip C, whatever the lattice.
 
 Where the surface moves (columns.py has how the classes of a cell go).  The cell's flux X_i
 follows from the shares of metal and liquid alone (share_flux.py).  At first it is the surface's
@@ -100,6 +100,8 @@ class Volumes:
         places = np.arange(int(np.prod(self.sum.padded_shape))).reshape(self.sum.padded_shape)
         height = lattice.cell_volume ** (1 / 3) / scene.horizon
         front = FlatFront(scene.horizon, scene.kernel_exponent, scene.influence)
+        strength = closed_strength(scene.horizon, scene.kernel_exponent, scene.influence)
+        self._at_reach = strength / scene.horizon * front.at_reach(height)
         self.columns = Columns(exposed.metal, height, front, processes)
         self.cell = places[self.sum.interior].ravel()[self.columns.cell]
         self.place = np.zeros(self.columns.first.size, int)
@@ -163,14 +165,28 @@ class Volumes:
         self.bond_sum = self.own = self.initial_bond_sum
         wanted = self.share * self.liquid_bond_sum
         if self.processes.any(grown.any()):
-            now = self._seen_metal(self.ahead)
-            self.bond_sum, self.own = self._moved(volume, now)
-            # Liquid sees less metal as that goes; new liquid what the shares say.
+            self.bond_sum, self.own = self._moved(volume, self._seen_metal(self.ahead))
+            # Old liquid sees less metal as that goes; new liquid what lies within the horizon.
+            metal, first = (self.scatter(v) for v in (self.ahead, self.initial_volume))
+            now, before = self.near(metal), self.near(first)
             new = np.divide(grown, self.share, out=np.zeros_like(grown), where=self.share > 0)
-            left = np.divide(now, self._at_first, out=np.zeros_like(now), where=self._at_first > 0)
+            left = np.divide(now, before, out=np.zeros_like(now), where=before > 0)
             new, left = np.minimum(new, 1.0), np.clip(left, 0.0, 1.0)
-            wanted = (1.0 - new) * left * wanted + new * self.share * np.maximum(now, 0.0)
+            wanted = (1.0 - new) * left * wanted + new * self.share * self._seen(metal, now)
         self._balance(wanted)
+
+    def _seen(self, metal: Array, bonds: Array) -> Array:
+        """What liquid sees where the surface has moved, 1/m^2; shares of metal, sums over bonds.
+
+        Liquid saturates wherever it sees metal, so that the pace of a front follows the last layer
+        that does.  The lattice's bonds reach half a cell beyond the horizon, and metal is spread
+        over its cells, half a cell more: their sum is what a point sees, spread over two boxes as
+        wide as a cell.  What it is at one horizon from a flat front is taken off, so that liquid
+        sees metal as far as its middle lies within the horizon.  Liquid beside metal sees it all,
+        however little that is.
+        """
+        beside = metal + self._next(metal) > 0
+        return np.where(beside, bonds, np.maximum(bonds - self._at_reach, 0.0))
 
     def at_middles(self, seen: Array) -> Array:
         """Bond sums of the liquid moved from the means of its cells towards their middles' values.

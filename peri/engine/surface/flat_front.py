@@ -57,6 +57,12 @@ class FlatFront:
         """p(x), 0 from x = 1 on."""
         return np.maximum(self._raw(x), 0.0) / self._scale
 
+    def at_reach(self, width: float) -> float:
+        """Mean of p at one horizon from the front, spread over two boxes `width` horizons wide."""
+        t, w = np.polynomial.legendre.leggauss(32)
+        u = 0.5 * (t + 1.0)
+        return float(0.5 * (w * (1.0 - u) * self.profile(1.0 - width * u)).sum())
+
     def carried(self, x: Array) -> Array:
         """F(x), 1 from x = 1 on."""
         return np.interp(x, self._x, self._carried)
