@@ -207,8 +207,8 @@ def test_what_is_next_to_nothing_of_a_class_is_none():
 
 def test_emptied_classes_hand_on_what_saturated_liquid_takes():
     # D_int without limit: classes are empty within a step, and those that carry for them see
-    # liquid at C_sat alone.  All that the liquid takes is what diffusion lets through, but for metal
-    # within the horizon of held liquid, which goes at once: x and y outside (-0.68, 0.32), z above.
+    # liquid at C_sat alone.  The liquid takes what diffusion lets through, and at once what lies
+    # within the horizon of held liquid: x and y outside (-0.68, 0.32), z above.
     scene = small_brick("faradaic", 10, dissolution_flux=1e9, boundary="refreshed")
     found = corrode(scene, [1e-3, 0.1, 3.0], TimeStepping(rate_change=0.3))
     at_once = 1.0 - (1.0 / 1.6) * (1.0 / 1.4) * (0.92 / 1.2)
