@@ -117,6 +117,7 @@ class Volumes:
         self.initial_free = np.where(free < _SMALLEST_SHARE, 0.0, free)
         rows = self._reached()
         self.near = NonlocalSum(scene.stencil, lattice.shape, rows, processes=processes)
+        self._bonds_at_first = self.near(self.scatter(self.initial_volume))
         self._next = NonlocalSum(scene.nearest_stencil(), lattice.shape, rows, processes=processes)
         self.liquid_bond_sum = self.at_middles(self.liquid_bond_sum)
         self._shares: ShareFlux | None = None
@@ -167,8 +168,8 @@ class Volumes:
         if self.processes.any(grown.any()):
             self.bond_sum, self.own = self._moved(volume, self._seen_metal(self.ahead))
             # Old liquid sees less metal as that goes; new liquid what lies within the horizon.
-            metal, first = (self.scatter(v) for v in (self.ahead, self.initial_volume))
-            now, before = self.near(metal), self.near(first)
+            metal, before = self.scatter(self.ahead), self._bonds_at_first
+            now = self.near(metal)
             new = np.divide(grown, self.share, out=np.zeros_like(grown), where=self.share > 0)
             left = np.divide(now, before, out=np.zeros_like(now), where=before > 0)
             new, left = np.minimum(new, 1.0), np.clip(left, 0.0, 1.0)
