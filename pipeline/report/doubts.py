@@ -234,10 +234,11 @@ def _strength_error(run: RunResults, hold: HoldScene) -> str:
     if known is None:
         return (
             f"The discretisation error of the strength left held by {hold.name} has not been "
-            "measured for this solid, mesh, element and increment, only for the reference screw "
-            f"with those of the presets ({', '.join(('shank', *MEASURED))})."
+            "measured for this solid, mesh, element, increment and map of the damage, only for the "
+            f"reference screw with those of the presets ({', '.join(('shank', *MEASURED))})."
         )
     scene, part = run.scene, HOLDINGS[hold.name].part
+    settings = f" with {known.settings}" if known.settings else ""
     same = all(a.name in known.alloys for a in scene.alloys)
     where = "" if same else ", not here"
     latest = duration(parse_time(known.latest).seconds)
@@ -249,12 +250,12 @@ def _strength_error(run: RunResults, hold: HoldScene) -> str:
         )
         return (
             f"The strength left of {part} is off by about {parts}, measured after {latest} on the "
-            f"reference screw with {known.settings}{where}: `{known.command}`."
+            f"reference screw{settings}{where}: `{known.command}`."
         )
     return (
         f"The strength left of {part} is off by at most {percent(known.error, 1)} of its value "
         f"because mesh and increments of the tensile test are finite, measured up to {latest} "
-        f"on the reference screw of {' and '.join(known.alloys)} with {known.settings}{where}; "
+        f"on the reference screw of {' and '.join(known.alloys)}{settings}{where}; "
         "what the error of the volume loss does to it comes on top."
     )
 

@@ -2,13 +2,9 @@
 
 from dataclasses import dataclass
 
-from pipeline.scene.resolution import (
-    NODE_DAMAGE,
-    RESOLUTIONS,
-    CorrosionError,
-    Resolution,
-    TensileError,
-)
+from pipeline.scene.mapping import mapping_of
+from pipeline.scene.mechanics import EXPOSURES
+from pipeline.scene.resolution import RESOLUTIONS, CorrosionError, Resolution, TensileError
 from pipeline.scene.scene import HoldScene, Scene, ScrewGeometry
 
 
@@ -24,21 +20,26 @@ class MeasuredHold:
 
 
 def _measured(
-    hold: str, element: str, increment: float, parts: dict[str, tuple[float, float]], settings: str
+    hold: str,
+    element: str,
+    increment: float,
+    parts: dict[str, tuple[float, float]],
+    settings: str = "",
 ) -> MeasuredHold:
-    command = f"perilife run --alloy {' '.join(parts)} --immersion 24w --hold {hold}"
+    command = (
+        f"perilife run --alloy {' '.join(parts)} --immersion 24w --hold {hold} "
+        "--mesh-size 0.2mm --mesh-size-fine 0.12mm"
+    )
     most = max(sum(both) for both in parts.values())
     error = TensileError(most, tuple(parts), "24w", None, command, parts, settings)
     return MeasuredHold(0.3e-3, 0.2e-3, element, increment, error)
 
 
 MEASURED: dict[str, MeasuredHold] = {
-    "slot": _measured(
-        "slot", "P2", 0.02, {"Mg-5Gd": (0.030, 0.003), "Mg-10Gd": (0.025, 0.003)}, NODE_DAMAGE
-    ),
+    "slot": _measured("slot", "P2", 0.02, {"Mg-5Gd": (0.020, 0.003), "Mg-10Gd": (0.028, 0.003)}),
     "faces": _measured(
         "faces", "P1", 0.005, {"Mg-5Gd": (0.04, 0.003), "Mg-10Gd": (0.15, 0.003)},
-        f"cells of 50 µm at the faces and {NODE_DAMAGE}",
+        "cells of 50 µm at the faces",
     ),
 }  # fmt: skip
 """Errors of ways of holding beside the shank, which the study of the presets has: the mesh
@@ -68,13 +69,14 @@ def corrosion_error(scene: Scene) -> CorrosionError | None:
 def tensile_error(scene: Scene, hold: HoldScene) -> TensileError | None:
     """What was measured of the mesh and increment of a test, if the scene uses just these.
 
-    Only the reference screw was measured: its shank with each preset, other ways of holding as
-    MEASURED has them.
+    Only the reference screw was measured, by the map by exposures: its shank with each preset,
+    other ways of holding as MEASURED has them.
     """
     preset = RESOLUTIONS.get(scene.resolution)
     if preset is None or not (
         scene.geometry == ScrewGeometry()
         and _alike(scene.lattice, preset, horizon="horizon")
+        and mapping_of(scene, hold.tensile) == EXPOSURES
         and _default(hold.tensile, "damage", "damage_length", "final_strain", "lateral", "load")
     ):
         return None

@@ -15,8 +15,6 @@ from perilife_data import did_you_mean
 PRESETS_FILE = Path(__file__).with_name("presets.toml")
 TENSILE_FILE = Path(__file__).with_name("presets_tensile.toml")
 NAMES = ("quick", "standard", "fine")
-NODE_DAMAGE = "damage interpolated between the nodes of a lattice of 100 µm with one rate each"
-"""What the errors of the tensile test were measured with (pipeline/MEASURED.md)."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +48,8 @@ class TensileError:
     error: largest over alloys and immersion times, mesh and increment together; alloys: those
     measured; latest: the last immersion time measured, as typed; processor_seconds: of the longest
     test, None where it was not noted; command: what measured it; parts: by mesh and by increments
-    of each alloy, where they were measured apart; settings: those of the measurement that a scene
-    may have otherwise, in words.
+    of each alloy, where they were measured apart; settings: what else it was measured with, in
+    words.
     """
 
     error: float
@@ -145,7 +143,6 @@ def _tensile(table: dict, name: str) -> dict:
         table["immersion"][-1],
         entry["processor_seconds"],
         table["command"],
-        settings=NODE_DAMAGE,
     )
     return {**numbers, "tensile_error": error}
 

@@ -11,7 +11,7 @@ STUDIES = {
     "rates": "what lattice and orientation do to the dissolution rate (seconds)",
     "saturation": "what the time step does to the two saturation models (5 min)",
     "boundaries": "what no-flux walls and held layers do to diffusion near them (seconds)",
-    "tensile": "error of peak force and strength left against processor time, presets (20 min)",
+    "tensile": "error of peak force and strength left against processor time, presets (30 min)",
     "nnpp": "ions: error against processor time; --published: the published features (3 min)",
     "published": "the published tensile outcome beside what pulled end faces give",
     "galvanic": "AE44 beside steel, AA6063: renewal, horizon, slopes, ions, mirrors; titanium",
@@ -34,7 +34,7 @@ def add_study_options(parser: argparse.ArgumentParser) -> None:
         help="corrosion: both Mg-Gd alloys; tensile and life-cycle: Mg-5Gd",
     )
     parser.add_argument(
-        "--immersion", nargs="+", metavar="T", help="tensile: 4w 8w 24w; life-cycle: 8w"
+        "--immersion", nargs="+", metavar="T", help="tensile: 8w 24w; life-cycle: 8w"
     )
     parser.add_argument("--long", action="store_true", help="tensile: finer; published: 47 um mesh")
     parser.add_argument("--published", action="store_true", help="nnpp: the published features")

@@ -2,7 +2,7 @@
 
 Every pull is that of a `quick` run (its lattice, its map, its increments) with one choice changed:
 meshes of three elements, and meshes of about the size of `quick`, which tell scatter from trend; on
-one mesh the increments and the length that the grips hold; with `long` tolerance and growth of f,
+one mesh the increments; with `long` the length that the grips hold, tolerance and growth of f,
 too.  The reference of a strength left is the limit of the P2 meshes (`limit_of`); how far that
 limit lies from the finest mesh is its uncertainty, and part of every error of a ratio.
 """
@@ -24,7 +24,7 @@ MIDDLE, FINE, FINER, FINEST = (
 )  # fmt: skip
 MESHES = {
     "P2": (COARSE, QUICK, FINE, FINER, FINEST),
-    "P1-Fbar": (COARSE, QUICK, FINE),
+    "P1-Fbar": (COARSE, QUICK, FINE, FINEST),
     "P1": (QUICK,),
 }
 LONG_MESHES = {
@@ -38,7 +38,7 @@ NEARBY = ((0.29e-3, 0.195e-3), (0.31e-3, 0.205e-3))
 INCREMENT = 0.02
 """Largest strain increment of the pulls that compare meshes: that of a run."""
 
-INCREMENTS = (0.02, 0.01, 0.005)
+INCREMENTS = (0.02, 0.01)
 LONG_INCREMENTS = (0.02, 0.01, 0.005, 0.0025, 0.00125)
 TOLERANCES = (1e-3, 1e-5, 1e-7)
 GRIPS = (0.0, 0.5e-3, None, 0.9e-3)
@@ -76,27 +76,27 @@ def plan_pulls(alloys: Sequence[str], immersion: Sequence[str], long: bool = Fal
                 pulls += [_pull(element, alloy, t, element, size) for t in times]
         for size in NEARBY:
             pulls += [_pull(SCATTER_CURVE, alloy, t, "P2", size) for t in times]
-        base = [_pull("", alloy, t, "P2", COARSE) for t in times]
+        base = [_pull("", alloy, t, "P2", QUICK) for t in times]
         for x in LONG_INCREMENTS if long else INCREMENTS:
             change = {"curve": INCREMENT_CURVE, "choice": f"{100 * x:g} %", "increment": x}
             pulls += [replace(p, **change) for p in base]
-        for grip in GRIPS:
-            text = "as in a run" if grip is None else f"{1e3 * grip:g} mm"
-            base = [_pull(GRIP_CURVE, alloy, t, "P2", QUICK) for t in times]
-            pulls += [replace(p, choice=text, grip=grip) for p in base]
         if long:
             pulls += _long_pulls(alloy, times)
     return pulls
 
 
 def _long_pulls(alloy: str, times: Sequence[str]) -> list[Pull]:
-    """Tolerance and growth of f, which change next to nothing."""
+    """Length held, tolerance and growth of f."""
     base = [_pull("", alloy, t, "P1-Fbar", QUICK) for t in times]
     pulls = [
         replace(p, curve=TOLERANCE_CURVE, choice=f"{x:g}", tolerance=x)
         for x in TOLERANCES
         for p in base
     ]
+    for grip in GRIPS:
+        text = "as in a run" if grip is None else f"{1e3 * grip:g} mm"
+        base = [_pull(GRIP_CURVE, alloy, t, "P2", QUICK) for t in times]
+        pulls += [replace(p, choice=text, grip=grip) for p in base]
     for t in times[1:]:
         p = _pull(DAMAGE_CURVE, alloy, t, "P2", COARSE)
         pulls += [
