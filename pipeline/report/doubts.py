@@ -242,21 +242,14 @@ def _strength_error(run: RunResults, hold: HoldScene) -> str:
     same = all(a.name in known.alloys for a in scene.alloys)
     where = "" if same else ", not here"
     latest = duration(parse_time(known.latest).seconds)
-    if known.parts:
-        parts = ", ".join(
-            f"{percent(sum(both), 1)} for {alloy} ({percent(both[0], 1)} by mesh, "
-            f"{percent(both[1], 1)} by increments)"
-            for alloy, both in known.parts.items()
-        )
-        return (
-            f"The strength left of {part} is off by about {parts}, measured after {latest} on the "
-            f"reference screw{settings}{where}: `{known.command}`."
-        )
+    parts = ", ".join(
+        f"{percent(sum(both), 1)} for {alloy} ({percent(both[0], 1)} by mesh, "
+        f"{percent(both[1], 1)} by increments)"
+        for alloy, both in known.parts.items()
+    )
     return (
-        f"The strength left of {part} is off by at most {percent(known.error, 1)} of its value "
-        f"because mesh and increments of the tensile test are finite, measured up to {latest} "
-        f"on the reference screw of {' and '.join(known.alloys)}{settings}{where}; "
-        "what the error of the volume loss does to it comes on top."
+        f"The strength left of {part} is off by about {parts}, measured after {latest} on the "
+        f"reference screw{settings}{where}: `{known.command}`."
     )
 
 

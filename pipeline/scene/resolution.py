@@ -7,7 +7,7 @@ test from presets_tensile.toml (`perilife study tensile`).
 
 import tomllib
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from perilife_data import did_you_mean
@@ -48,8 +48,7 @@ class TensileError:
     error: largest over alloys and immersion times, mesh and increment together; alloys: those
     measured; latest: the last immersion time measured, as typed; processor_seconds: of the longest
     test, None where it was not noted; command: what measured it; parts: by mesh and by increments
-    of each alloy, where they were measured apart; settings: what else it was measured with, in
-    words.
+    of each alloy; settings: what else it was measured with, in words.
     """
 
     error: float
@@ -57,11 +56,11 @@ class TensileError:
     latest: str
     processor_seconds: float | None
     command: str
-    parts: dict[str, tuple[float, float]] = field(default_factory=dict)
+    parts: dict[str, tuple[float, float]]
     settings: str = ""
 
     def of(self, alloy: str) -> float:
-        """The error for an alloy; where it was not measured apart, the largest."""
+        """The error for an alloy; of one that was not measured, the largest."""
         return sum(self.parts[alloy]) if alloy in self.parts else self.error
 
 
@@ -137,12 +136,14 @@ def _corrosion(table: dict, name: str) -> dict:
 def _tensile(table: dict, name: str) -> dict:
     entry = table[name]
     numbers = {key: entry[key] for key in ("mesh_size", "mesh_size_fine", "element", "increment")}
+    measured = entry["measured"]
     error = TensileError(
         entry["error"],
         tuple(table["alloys"]),
         table["immersion"][-1],
         entry["processor_seconds"],
         table["command"],
+        {alloy: (of["mesh_error"], of["increment_error"]) for alloy, of in measured.items()},
     )
     return {**numbers, "tensile_error": error}
 

@@ -317,6 +317,18 @@ class Setting:
         return max(self.mesh_error, self.force_error) + self.increment_error
 
 
+def error_parts(study: Study, chosen: Setting) -> dict[str, tuple[float, float]]:
+    """By mesh and by increments, the errors of the strength left of a setting by alloy."""
+    found = {}
+    size = (chosen.element, chosen.mesh_size, chosen.mesh_size_fine)
+    for alloy in study.alloys:
+        errors = Errors(study, alloy)
+        rows = [r for r in errors.rows if (r.curve, r.mesh_size, r.mesh_size_fine) == size]
+        mesh = max(errors.ratio_error(r) for r in rows)
+        found[alloy] = (float(mesh), float(errors.increment_errors()[chosen.increment]))
+    return found
+
+
 def settings(study: Study) -> list[Setting]:
     """Every mesh with every increment; meshes with a test that stopped are left out."""
     errors = {alloy: Errors(study, alloy) for alloy in study.alloys}

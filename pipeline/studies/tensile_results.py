@@ -21,6 +21,7 @@ from pipeline.studies.tensile import (
     Study,
     cheapest,
     edge,
+    error_parts,
     settings,
 )
 from pipeline.studies.workshop import Row, weeks, write_rows
@@ -251,6 +252,13 @@ def presets_text(study: Study, command: str) -> str:
             f"force_error = {s.force_error:.2g}  # of the peak force, mesh",
             f"processor_seconds = {s.seconds:.2g}  # of the longest test",
         ]
+        for alloy, (mesh, increment) in error_parts(study, s).items():
+            lines += [
+                "",
+                f"[{name}.measured.{alloy}]",
+                f"mesh_error = {mesh:.2g}",
+                f"increment_error = {increment:.2g}",
+            ]
     return "\n".join(lines) + "\n"
 
 

@@ -40,7 +40,7 @@ def test_shares_add_up_without_the_grips_and_presets_join_in(run):
     # that share of 15 % of the volume, one to one, even within the bound
     lattice, error = sources["lattice and time steps"], RESOLUTIONS["quick"].corrosion_error
     assert lattice.deviation == pytest.approx(error.of("Mg-5Gd") * 0.15 / 3**0.5, rel=0.02)
-    high = 0.43 * (1.0 + RESOLUTIONS["quick"].tensile_error.error)
+    high = 0.43 * (1.0 + RESOLUTIONS["quick"].tensile_error.of("Mg-5Gd"))
     assert sources["mesh and increments"].high == pytest.approx(high)
     rows = {row["source"]: row for row in share_tables(results, [doubts()])[0]["rows"]}
     shares = [row["share"] for row in rows.values()]
