@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from pipeline.scene.mapping import mapping_of
-from pipeline.scene.mechanics import EXPOSURES
+from pipeline.scene.mechanics import EXPOSURES, PULLED_FACE_CELLS
 from pipeline.scene.resolution import RESOLUTIONS, CorrosionError, Resolution, TensileError
 from pipeline.scene.scene import HoldScene, Scene, ScrewGeometry
 
@@ -14,6 +14,7 @@ class MeasuredHold:
 
     size: float
     size_fine: float
+    size_ends: tuple[float | None, float | None]
     element: str
     increment: float
     error: TensileError
@@ -24,21 +25,24 @@ def _measured(
     element: str,
     increment: float,
     parts: dict[str, tuple[float, float]],
+    ends: float | None = None,
+    options: str = "",
     settings: str = "",
 ) -> MeasuredHold:
     command = (
         f"perilife run --alloy {' '.join(parts)} --immersion 24w --hold {hold} "
-        "--mesh-size 0.2mm --mesh-size-fine 0.12mm"
+        f"--mesh-size 0.2mm --mesh-size-fine 0.12mm{options}"
     )
     most = max(sum(both) for both in parts.values())
     error = TensileError(most, tuple(parts), "24w", None, command, parts, settings)
-    return MeasuredHold(0.3e-3, 0.2e-3, element, increment, error)
+    return MeasuredHold(0.3e-3, 0.2e-3, (ends, ends), element, increment, error)
 
 
 MEASURED: dict[str, MeasuredHold] = {
     "slot": _measured("slot", "P2", 0.02, {"Mg-5Gd": (0.020, 0.003), "Mg-10Gd": (0.028, 0.003)}),
     "faces": _measured(
         "faces", "P1", 0.005, {"Mg-5Gd": (0.78, 0.003), "Mg-10Gd": (0.65, 0.003)},
+        PULLED_FACE_CELLS, " --mesh-size-faces 33um",
         "cells of 33 µm at the faces in place of 50 µm",
     ),
 }  # fmt: skip
@@ -85,7 +89,7 @@ def tensile_error(scene: Scene, hold: HoldScene) -> TensileError | None:
         sizes = {"size": "mesh_size", "size_fine": "mesh_size_fine"}
     elif hold.name in MEASURED:
         known, error = MEASURED[hold.name], MEASURED[hold.name].error
-        sizes = {"size": "size", "size_fine": "size_fine"}
+        sizes = {"size": "size", "size_fine": "size_fine", "size_ends": "size_ends"}
     else:
         return None
     same = _alike(hold.mesh, known, **sizes) and _alike(

@@ -16,6 +16,11 @@ MAPPINGS = (AUTO, NODES, EXPOSURES)
 """How the lattice's loss comes to a point of the mesh: between the nodes, or by what it sees of the
 liquid; auto: the latter where the scene can have it (pipeline.scene.mapping)."""
 
+PULLED_FACE_CELLS = 50e-6
+"""Edge length (m) at end faces that are pulled, unless it is given: about the published one.  The
+layer that carries is as thick as these cells, so that the strength left is theirs: it is the same
+with every preset."""
+
 
 @dataclass(frozen=True)
 class MeshSettings:

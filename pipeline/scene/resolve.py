@@ -13,6 +13,7 @@ from pipeline.scene import holding
 from pipeline.scene.classes import AUTO, with_classes
 from pipeline.scene.laws.ions import IonSettings
 from pipeline.scene.laws.rate_law import OF_THE_SET, read_kinetics
+from pipeline.scene.mechanics import PULLED_FACE_CELLS
 from pipeline.scene.resolution import Resolution, resolution
 from pipeline.scene.scene import (
     AlloyScene,
@@ -56,6 +57,7 @@ def resolve_scene(
     horizon: float | None = None,
     mesh_size: float | None = None,
     mesh_size_fine: float | None = None,
+    mesh_size_faces: float | None = None,
     domain: DomainSettings | None = None,
     corrosion: dict[str, object] | None = None,
     hold: Sequence[str] = (),
@@ -104,8 +106,14 @@ def resolve_scene(
         domain=domain or DomainSettings(boundary=_boundary(known)),
         corrosion=CorrosionSettings(**corrosion),
         holds=_holds(
-            hold, geometry, lattice, preset, MeshSettings(size, fine), dict(tensile or {})
-        ),
+            hold,
+            geometry,
+            lattice,
+            preset,
+            MeshSettings(size, fine),
+            mesh_size_faces,
+            dict(tensile or {}),
+        ),  # fmt: skip
         measured_volume_loss=_by_alloy(measured_volume_loss or {}, scenes),
         ions=ions,
     )
@@ -128,15 +136,15 @@ def _holds(
     lattice: LatticeSettings,
     preset: Resolution,
     mesh: MeshSettings,
+    faces_size: float | None,
     tensile: dict[str, object],
 ) -> tuple[HoldScene, ...]:
     """The ways of holding: those named, or the one with the depths that `tensile` gives.
 
-    Where an end face is pulled the cells there are half a lattice spacing wide, or a quarter of
-    those at thread and slot where that is more (50 um with `quick`, about the published cells):
-    wider ones average the outermost layer, which has corroded, with the sound metal behind it.
-    Four-node
-    cells and small increments are then the default, since such a layer gives way early.
+    Where an end face is pulled the cells there are `faces_size` wide, or PULLED_FACE_CELLS, half a
+    lattice spacing or a quarter of those at thread and slot, whichever is most: wider ones average
+    the outermost layer, which has corroded, with the sound metal behind it.  Four-node cells and
+    small increments are then the default, since such a layer gives way early.
     """
     given = {"bottom_grip", "top_grip"} & set(tensile)
     if given and names:
@@ -167,8 +175,11 @@ def _holds(
             "bending_azimuth": 0.0 if load == "bending" else None,
         }
         depths = {"bottom_grip": bottom, "top_grip": top}
-        layer = max(lattice.spacing / 2, mesh.size_fine / 4)
-        ends = [layer if depth == 0.0 and layer < mesh.size else None for depth in (bottom, top)]
+        layer = faces_size
+        if layer is None:
+            layer = max(PULLED_FACE_CELLS, lattice.spacing / 2, mesh.size_fine / 4)
+            layer = layer if layer < mesh.size else None
+        ends = [layer if depth == 0.0 else None for depth in (bottom, top)]
         holds.append(
             HoldScene(
                 name,

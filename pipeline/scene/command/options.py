@@ -196,6 +196,9 @@ def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -
     )
     tensile.add_argument("--mesh-size", metavar="LENGTH", help="edge length in the bulk")
     tensile.add_argument("--mesh-size-fine", metavar="LENGTH", help="at thread and slot")
+    tensile.add_argument(
+        "--mesh-size-faces", metavar="LENGTH", help="at end faces that are pulled (50um)"
+    )
     tensile.add_argument("--element", metavar="E", help=f"{', '.join(ELEMENTS)} (P2)")
     tensile.add_argument(
         "--hold",
@@ -296,6 +299,7 @@ def scene_from_options(options: argparse.Namespace) -> Scene:
         horizon=length("horizon"),
         mesh_size=length("mesh_size"),
         mesh_size_fine=length("mesh_size_fine"),
+        mesh_size_faces=length("mesh_size_faces"),
         domain=_domain(options),
         corrosion=corrosion,
         hold=options.hold,

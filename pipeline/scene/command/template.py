@@ -16,6 +16,7 @@ from pipeline.scene.classes import AUTO
 from pipeline.scene.command.arguments import SI_UNIT, options_of
 from pipeline.scene.command.scene_file import KINDS, tables_of
 from pipeline.scene.laws.ions import DEFAULT_MEDIUM, resolve_ions
+from pipeline.scene.mechanics import PULLED_FACE_CELLS
 from pipeline.scene.resolve import resolve_scene
 from pipeline.scene.units import format_length, parse_length
 
@@ -129,6 +130,7 @@ def _defaults() -> dict[str, object]:
         "unit": "mm",
         "mesh_size": scene.mesh.size,
         "mesh_size_fine": scene.mesh.size_fine,
+        "mesh_size_faces": PULLED_FACE_CELLS,
         "hold": [hold.name for hold in scene.holds],
         "bending_azimuth": 0.0,
         "medium": DEFAULT_MEDIUM,

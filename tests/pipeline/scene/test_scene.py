@@ -345,7 +345,7 @@ def test_each_way_of_holding_has_its_grips_and_its_mesh():
     assert grips["shank"] == pytest.approx((0.7e-3, 0.7e-3))
     assert grips["slot"] == pytest.approx((0.7e-3, 0.3e-3))
     assert grips["faces"] == (0.0, 0.0)
-    # cells at pulled faces: a quarter of those at the slot, more than half the spacing; four nodes
+    # cells at pulled faces: 50 um with every preset, as wide as asked for; four nodes
     assert [h.mesh.size_ends for h in scene.holds] == [(None, None)] * 2 + [(5e-5, 5e-5)]
     assert [h.tensile.element for h in scene.holds] == ["P2", "P2", "P1"]
     assert list(scene.meshes()) == ["", "faces"]
@@ -353,6 +353,12 @@ def test_each_way_of_holding_has_its_grips_and_its_mesh():
     assert set(grips) < set(HOLDINGS)
     finer = resolve_scene(["Mg-5Gd"], ["8w"], hold=["faces"], mesh_size=33e-6)
     assert finer.mesh.size_ends == (None, None)  # fine enough everywhere
+    better = resolve_scene(["Mg-5Gd"], ["8w"], "standard", hold=["faces"])
+    assert better.mesh.size_ends == (5e-5, 5e-5)
+    thin = resolve_scene(["Mg-5Gd"], ["8w"], hold=["all"], mesh_size_faces=33e-6)
+    assert [h.mesh.size_ends for h in thin.holds] == [(None, None)] * 2 + [(33e-6, 33e-6)]
+    with pytest.raises(SceneError, match="bottom mesh size is 1 mm; it must be at most"):
+        resolve_scene(["Mg-5Gd"], ["8w"], hold=["faces"], mesh_size_faces=1e-3)
     chosen = resolve_scene(["Mg-5Gd"], ["8w"], hold=["faces"], tensile={"element": "P2"})
     assert chosen.tensile.element == "P2"
 
