@@ -92,14 +92,17 @@ def screw_setup(ratios: tuple[int, ...]) -> list[Result]:
 
 
 def screw_marches() -> list[Result]:
-    """Processor time and errors of V_L of the lattices that are within 1 % to 56 days."""
+    """Processor time and errors of V_L of the lattices that are within 1 % to 56 days.
+
+    A third of the 1 % may be by what is left out: Mg-5Gd's liquid, on delta/2 at most 0.19 %.
+    """
     results = []
     for alloy, ratio, target in (("Mg-5Gd", 2, "<= 2"), ("Mg-10Gd", 3, "<= 20")):
         settings = _settings(ratio, CLASSES, alloy)
         scene = _scene(settings, build_solid(settings), alloy)
         stepping = TimeStepping(rate_change=settings.corrosion.rate_change)
         start = time.process_time()
-        found, _ = corrode_lean(scene, study.TIMES, stepping)
+        found, _ = corrode_lean(scene, study.TIMES, stepping, tolerance=3e-3)
         seconds = time.process_time() - start
         error = study.relative_error(found.volume_loss, _limit(alloy))
         name = f"screw, {alloy}, 56 d, delta/{ratio}"

@@ -119,16 +119,18 @@ def test_the_report_quotes_the_tensile_error_of_the_preset_used(name):
 def test_each_way_of_holding_has_the_error_that_was_measured_of_it():
     run = run_of(hold=["all"])
     text = doubts.error_estimate(run)
-    assert "slotted section is off by about 2.3 % for Mg-5Gd (2.0 % by mesh, 0.3 % by incr" in text
-    assert "3.1 % for Mg-10Gd" in text and "65.3 % for Mg-10Gd" in text
+    assert (
+        "slotted section is off by about 12.8 % for Mg-5Gd (12.5 % by mesh, 0.3 % by incr" in text
+    )
+    assert "4.8 % for Mg-10Gd" in text and "65.3 % for Mg-10Gd" in text
     assert (
         "`perilife run --alloy Mg-5Gd Mg-10Gd --immersion 24w --hold faces --mesh-size 0.2mm"
         in text
     )
     assert [strength_error(run.scene, hold) for hold in run.scene.holds] == pytest.approx(
-        [RESOLUTIONS["quick"].tensile_error.of("Mg-5Gd"), 0.031, 0.783]
+        [RESOLUTIONS["quick"].tensile_error.of("Mg-5Gd"), 0.128, 0.783]
     )
-    assert "slotted section up to 3.1 %, of the layer at the end f" in doubts.in_short(run, 3)
+    assert "slotted section up to 12.8 %, of the layer at the end f" in doubts.in_short(run, 3)
     finer = run_of(hold=["shank", "slot"], resolution_name="standard")
     text = doubts.error_estimate(finer)
     assert "held by slot has not been measured" in text and "the shank is off by" in text
