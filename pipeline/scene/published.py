@@ -19,7 +19,7 @@ KNOWN = (
 )
 
 INFERRED = (
-    "four-node cells, half a lattice spacing thick at the end faces",
+    "four-node cells, 50 µm thick at the end faces",
     "equilibrium, instead of an explicit march",
     "0.4 mm of liquid above the ends, from a number of nodes",
     "damage as the mean of each cell",

@@ -26,7 +26,8 @@ SAMPLES = (None, 1, 2)
 INCREMENT_SHARES = (1.0, 0.5, 0.25)  # of the preset's
 MESHES = (
     ("P1-Fbar", 0.3e-3, 0.2e-3), ("P1-Fbar", 0.2e-3, 0.12e-3),
-    ("P2", 0.5e-3, 0.4e-3), ("P2", 0.4e-3, 0.3e-3), ("P2", 0.3e-3, 0.2e-3), ("P2", 0.2e-3, 0.12e-3),
+    ("P2", 0.4e-3, 0.3e-3), ("P2", 0.3e-3, 0.2e-3), ("P2", 0.2e-3, 0.12e-3),
+    ("P2", 0.12e-3, 0.08e-3),
 )  # fmt: skip
 ORDERS = {
     "lattice": (2.0, LATTICES[-2] / LATTICES[-1]),  # with rate classes (study corrosion)
