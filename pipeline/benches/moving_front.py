@@ -174,9 +174,7 @@ def layered_plate(normal: tuple[int, int], ratio: int, place: float) -> LayeredS
     )  # fmt: skip
 
 
-def stefan_fronts(
-    ratios: tuple[int, ...], rate_change: float, positions: int = 1
-) -> list[Result]:  # fmt: skip
+def stefan_fronts(ratios: tuple[int, ...], rate_change: float, positions: int = 1) -> list[Result]:
     """The front of steel that saturates its liquid, a horizon of 10 um, against its own limit.
 
     The limit is what the two finest ratios extrapolate to at second order, the face half-way

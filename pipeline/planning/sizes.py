@@ -27,11 +27,10 @@ def check_sizes(scene: Scene, solid: Solid) -> None:
     longest = float(np.ptp(solid.points, axis=0).max())
     if not SHORTEST <= longest <= LONGEST:
         option = UNIT_BY.get(scene.geometry.kind)
+        hint = f" ({option} says how long its numbers are)" if option else ""
         raise SceneError(
             f"{solid.name} is {format_length(longest)} long; it must be "
-            f"{format_length(SHORTEST)} to {format_length(LONGEST)}"
-            + f" ({option} says how long its numbers are)"
-            * bool(option)
+            f"{format_length(SHORTEST)} to {format_length(LONGEST)}{hint}"
         )
     length = float(np.ptp(solid.points[:, 2]))
     for hold in scene.holds:

@@ -27,7 +27,8 @@ class Sure:
     quantity: volume_loss or strength_left; alloy: of the run; hold: way of holding, None of the
     volume loss; relative_error: of the value, by lattice and time steps or by mesh and increments,
     None where it was not measured; source: the command that measured it, or why there is none;
-    measured_of: alloys of the reference screw that it was measured of, none where of this run.
+    measured_of: alloys of the reference screw that it was measured of, none where of this run;
+    settings: what it was measured with in place of the run's, in words.
     """
 
     quantity: str
@@ -36,6 +37,7 @@ class Sure:
     relative_error: float | None
     source: str
     measured_of: tuple[str, ...] = ()
+    settings: str = ""
 
 
 def held(scene: Scene) -> list[dict[str, object]]:
@@ -92,7 +94,8 @@ def _of(run: RunResults, hold: HoldScene) -> Iterator[Sure]:
         if known is None:
             yield Sure(*named, None, NOT_MEASURED)
         else:
-            yield Sure(*named, known.of(alloy.name), known.command, known.alloys)
+            error = known.of(alloy.name)
+            yield Sure(*named, error, known.command, known.alloys, known.settings)
 
 
 def in_lines(run: RunResults) -> dict[str | None, str]:
@@ -122,7 +125,8 @@ def _source(row: Sure) -> str:
     if not row.measured_of:
         return row.source
     there = "" if row.alloy in row.measured_of else f" of {' and '.join(row.measured_of)}"
-    return f"measured on the reference screw{there}"
+    by = f" by {row.settings}" if row.settings else ""
+    return f"measured on the reference screw{there}{by}"
 
 
 def in_words(run: RunResults) -> list[str]:

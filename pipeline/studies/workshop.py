@@ -157,7 +157,7 @@ class Workshop:
             changes["corrosion"] = {**changes.get("corrosion", {}), "rate_change": rate_change}
         scene = self.scene(alloy, immersion, spacing=spacing, **changes)
         done = self.folder / f"march-{name}-{alloy}.json"
-        mark = hashlib.sha256(repr(scene).encode()).hexdigest()
+        mark = hashlib.sha256(repr((STAGE_REVISION["corrode"], scene)).encode()).hexdigest()
         if done.exists() and (kept := json.loads(done.read_text()))["scene"] == mark:
             self.corrosion_seconds[alloy, name] = kept["seconds"]
             self._set_up(scene.lattice.spacing, kept["setup_seconds"])
@@ -265,7 +265,7 @@ class Workshop:
         said = {f.name: getattr(pull, f.name) for f in fields(Pull)[2:]}
         plain = {f.name: f.default for f in fields(Pull)}
         changed = {name: said[name] for name in said if said[name] != plain[name]}
-        what = json.dumps([STAGE_REVISION["map"], STAGE_REVISION["pull"], changed])
+        what = json.dumps([*(STAGE_REVISION[s] for s in ("corrode", "map", "pull")), changed])
         return self.folder / f"pull-{hashlib.sha256(what.encode()).hexdigest()[:16]}.csv"
 
     def _kept(self, pull: Pull, limit: float) -> Row | None:

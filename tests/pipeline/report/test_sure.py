@@ -60,6 +60,9 @@ def test_a_terminal_has_a_line_for_each_way_of_holding(tmp_path):
     fast, slow = (f"{100 * QUICK.tensile_error.of(a):.1f} %" for a in ("Mg-5Gd", "Mg-10Gd"))
     assert f"within {fast} (Mg-5Gd), {slow} (Mg-10Gd) of its value" in sure
     assert "bottom its face" in faces and "65.3 % (Mg-10Gd)" in unsure
+    assert unsure.endswith(
+        "on the reference screw by cells of 33 µm at the faces in place of 50 µm"
+    )
     assert left.startswith("strength left:") and "0.8 % (Mg-10Gd)" in loss
 
 
