@@ -76,7 +76,8 @@ def build_parser() -> argparse.ArgumentParser:
         stage.add_argument("--alloy", nargs="+", metavar="A", help="only these of the run")
         if name != "corrode":
             stage.add_argument("--hold", nargs="+", metavar="H", help="only these of the run")
-            stage.add_argument("--immersion", nargs="+", metavar="T", help="only these of the run")
+            times = "only these of the run, 0w (the intact solid) among them"
+            stage.add_argument("--immersion", nargs="+", metavar="T", help=times)
         if name == "pull":
             add_machine_options(stage)
         take_folder(stage)

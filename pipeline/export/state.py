@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 from fem.constitutive.gurson import RESIDUAL_STRENGTH
 from fem.quadrature import find_element
 from fem.solid import Grips, Held
-from perilife_data import did_you_mean
 from pipeline.geometry.mesh import read_mesh
 from pipeline.record.run_folder import RunFolder, RunFolderError
 from pipeline.record.stage_hashes import corrosion_hash, geometry_hash, map_hash, pull_hash
 from pipeline.scene.scene import AlloyScene, HoldScene, MaterialParameters, Scene, scene_from_json
-from pipeline.scene.units import ImmersionTime, parse_time
+from pipeline.scene.units import ImmersionTime
 from pipeline.stages.corrosion import CORROSION_FILE
 from pipeline.stages.mapping import DAMAGE_FILE, read_damage
 from pipeline.stages.strength import CURVE_FILE
@@ -79,7 +78,7 @@ def read_state(
     scene = _scene(folder)
     chosen = _alloy(scene, alloy)
     way = scene.hold(hold) if hold is not None else scene.holds[0]
-    moment = _moment(scene, time)
+    moment = scene.time(time)
     place = folder.test(chosen.name, moment.label, way.name)
     _whole(folder, folder.geometry, "geometry", geometry_hash(scene))
     march = folder.corrosion(chosen.name)
@@ -113,7 +112,7 @@ def read_march(
     """
     folder = RunFolder(run)
     scene = _scene(folder)
-    chosen, moment = _alloy(scene, alloy), _moment(scene, time)
+    chosen, moment = _alloy(scene, alloy), scene.time(time)
     march = folder.corrosion(chosen.name)
     _whole(folder, folder.geometry, "geometry", geometry_hash(scene))
     _whole(folder, march, "corrode", corrosion_hash(scene, chosen.name))
@@ -139,17 +138,6 @@ def _scene(folder: RunFolder) -> Scene:
     except (ValueError, RecursionError):
         raise RunFolderError(f"'{folder.scene_file}' is not the scene of a run") from None
     return scene_from_json(content)
-
-
-def _moment(scene: Scene, text: str) -> ImmersionTime:
-    """The time of the run that `text` names in any unit."""
-    wanted = parse_time(text, "time")
-    for moment in scene.with_intact():
-        if np.isclose(moment.seconds, wanted.seconds, rtol=1e-9):
-            return moment
-    known = [moment.label for moment in scene.with_intact()]
-    near = did_you_mean(wanted.label, known)
-    raise ValueError(f"time {text} is not part of this run{near}; it has {', '.join(known)}")
 
 
 def _whole(folder: RunFolder, place: Path, stage: str, inputs: str) -> None:

@@ -28,7 +28,7 @@ from pipeline.scene.laws.ions import IonSettings
 from pipeline.scene.laws.rate_law import read_kinetics
 from pipeline.scene.mechanics import HoldScene, MeshSettings, TensileScene
 from pipeline.scene.screw import ScrewParameters
-from pipeline.scene.units import ImmersionTime, format_length
+from pipeline.scene.units import ImmersionTime, format_length, parse_time
 
 SCHEMA_VERSION = 2
 YEAR = 365.25 * 86400.0
@@ -406,12 +406,13 @@ class Scene:
                 return alloy
         raise _not_part("alloy", name, [alloy.name for alloy in self.alloys])
 
-    def time(self, label: str) -> ImmersionTime:
-        """The immersion time called `label`; SceneError names those of the scene."""
-        for time in self.immersion:
-            if time.label == label:
+    def time(self, text: str) -> ImmersionTime:
+        """The time of the run, zero among them, that `text` gives in any unit; else SceneError."""
+        wanted, times = parse_time(text, "immersion time").seconds, self.with_intact()
+        for time in times:
+            if math.isclose(time.seconds, wanted, rel_tol=1e-9):
                 return time
-        raise _not_part("immersion time", label, [time.label for time in self.immersion])
+        raise _not_part("immersion time", text, [time.label for time in times])
 
     def with_intact(self) -> tuple[ImmersionTime, ...]:
         """The immersion times with time zero in front, which the strength left needs."""

@@ -180,6 +180,12 @@ def test_stage_commands_ask_for_the_stage_before_them(tmp_path, capsys):
     refused(capsys, ["corrode", "--out", str(out)], "`perilife geometry`")
     refused(capsys, ["corrode", "--out", str(out), "--alloy", "Mg-10Gd"], "Mg-10Gd", "has Mg-5Gd")
     refused(capsys, ["map", "--out", str(out), "--immersion", "4w"], "4w", "has 0w, 8w")
+    alone = tmp_path / "alone"  # 0w is mapped and pulled though nobody asked the run for it
+    with open_run(scene_of(changed("--immersion", "8w")), alone, resume=False):
+        pass
+    for stage in ("map", "pull"):
+        intact = [stage, "--out", str(alone), "--immersion", "0w"]
+        refused(capsys, intact, f"`perilife {'geometry' if stage == 'map' else 'map'}`")
 
 
 def test_a_scene_file_that_is_damaged_is_named(tmp_path, capsys):

@@ -170,7 +170,7 @@ def test_bars_that_cannot_be_pulled_are_refused(tmp_path):
     "change, words",
     [
         ({"--to": "stl"}, "--to is 'stl'"),
-        ({"--time": "4w"}, "time 4w is not part of this run"),
+        ({"--time": "4w"}, "immersion time '4w' is not part of this run"),
         ({"--time": "soon"}, "time 'soon' is not understood"),
         ({"--hold": "slot"}, "hold 'slot' is not part of this run"),
         ({"--alloy": "Mg-9"}, "alloy 'Mg-9' (did you mean Mg-5Gd?) is not part of this run"),

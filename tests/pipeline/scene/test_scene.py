@@ -275,6 +275,9 @@ def test_time_zero_is_added_in_front_for_the_strength_ratio(scene):
     assert [t.seconds for t in scene.with_intact()] == [0.0, 604800.0, 4838400.0]
     started = dataclasses.replace(scene, immersion=parse_immersion_times(["0d", "8w"]))
     assert started.with_intact() == started.immersion
+    assert scene.time("0d") == scene.with_intact()[0] and scene.time("56d").label == "8w"
+    with pytest.raises(ValueError, match="'4w' .*it has 0w, 1w, 8w"):
+        scene.time("4w")
 
 
 def test_laws_of_the_rate_take_the_numbers_of_peri():
