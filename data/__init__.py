@@ -24,6 +24,7 @@ from .reactions import ReactionSet, list_reaction_sets, load_reaction_set
 from .references import Reference, load_reference
 from .schema import (
     KINDS,
+    TO_BE_LISTED,
     Alloy,
     CorrosionParameters,
     Medium,
@@ -35,6 +36,7 @@ from .volume_loss import VolumeLossData, read_volume_loss_csv
 
 __all__ = [
     "KINDS",
+    "TO_BE_LISTED",
     "Alloy",
     "CorrosionParameters",
     "Electrode",

@@ -22,6 +22,8 @@ KINDS: dict[str, str] = {
 
 TO_BE_REPORTED = ("assumed", "fitted", "not_identified")
 """The kinds that a report lists one by one."""
+TO_BE_LISTED = (*TO_BE_REPORTED, "published_uncorrected")
+"""The kinds that the list of a run has one by one where the run uses them."""
 
 
 @dataclass(frozen=True)

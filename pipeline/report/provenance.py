@@ -22,9 +22,6 @@ from pipeline.scene.scene import AlloyScene, Scene
 
 logger = logging.getLogger(__name__)
 
-TO_BE_LISTED = ("assumed", "fitted", "not_identified", "published_uncorrected")
-"""The kinds of values that a report must list one by one."""
-
 SYMBOLS = {
     "interface_diffusivity": "D_int",
     "liquid_diffusivity": "D_liq",
@@ -104,7 +101,7 @@ def parameter_rows(scene: Scene) -> list[ParameterRow]:
 
 def to_be_listed(rows: Iterable[ParameterRow]) -> list[ParameterRow]:
     """The assumed, fitted and uncorrected values among the rows."""
-    return [row for row in rows if row.kind in TO_BE_LISTED]
+    return [row for row in rows if row.kind in perilife_data.TO_BE_LISTED]
 
 
 def references(rows: Iterable[ParameterRow], scene: Scene) -> dict[str, str]:

@@ -108,7 +108,7 @@ def format_bytes(count: float) -> str:
 
 def format_length(value: float) -> str:
     """Write a length in metres for a reader, in um or mm."""
-    return f"{value * 1e6:.4g} um" if value < 1e-3 else f"{value * 1e3:.4g} mm"
+    return f"{value * 1e6:.4g} um" if abs(value) < 1e-3 else f"{value * 1e3:.4g} mm"
 
 
 _QUANTITY = re.compile(r"([+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)\s*([a-zA-Z]+)?")

@@ -42,6 +42,7 @@ def add_scenes_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--times", nargs="+", metavar="T", help="output times (the scene's own)")
     parser.add_argument("--quiet", action="store_true", help="no progress")
     parser.add_argument("--resume", action="store_true", help="go on with the same scene")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_ranks_options(parser)
 
 
@@ -51,24 +52,23 @@ def run_scenes(options: argparse.Namespace, say: Callable[[str], None]) -> None:
     from pipeline.scenes.registry import path_of, shipped
 
     if options.name is None:
-        given = [n for n in ("out", "spacing", "times") if getattr(options, n) is not None]
+        given = [n for n in ("out", "spacing", "times", "json") if getattr(options, n)]
         if given:
             raise ValueError(f"--{given[0]} is of a scene; name one, `perilife scenes` lists them")
         for name, path in shipped().items():
             say(f"{name:24s} {read_scene(path).title}")
         return
     scene = read_scene(path_of(options.name)).changed(options.spacing, options.times)
-    if options.out is None:
-        raise ValueError(f"scene '{options.name}' writes a folder; say where with --out DIR")
-    _run(options, scene, options.out, say)
+    _run_and_say(options, scene, say)
 
 
 def run_file(options: argparse.Namespace, say: Callable[[str], None]) -> None:
-    """Run the scene file that `perilife run` was given; errors as `run_scenes`.
+    """Run the scene file that `perilife run` was given; errors as `run_scenes`."""
+    _run_and_say(options, _of_file(options), say)
 
-    With `json` the folder and the table are said as one JSON object.
-    """
-    scene = _of_file(options)
+
+def _run_and_say(options: argparse.Namespace, scene: SceneFile, say: Callable[[str], None]) -> None:
+    """Run a scene; with `json` the folder, the table and what is assumed are one JSON object."""
     out = options.out or scene.out
     if out is None:
         raise ValueError(f"scene '{scene.name}' writes a folder; say where with --out DIR")
@@ -79,7 +79,7 @@ def run_file(options: argparse.Namespace, say: Callable[[str], None]) -> None:
     record = folder.read_record(folder.path, STAGE)
     assert record is not None
     found = {"folder": str(folder.path.absolute()), "summary": record.numbers}
-    say(json.dumps(found, indent=2))
+    say(json.dumps({**found, "assumed": assumed_rows(scene.prepared())}, indent=2))
 
 
 def plan_file(options: argparse.Namespace, say: Callable[[str], None]) -> None:
@@ -99,6 +99,7 @@ def plan_file(options: argparse.Namespace, say: Callable[[str], None]) -> None:
         for row in rows:
             row["bound"] = row["bound"] if row["bound"] < float("inf") else None
         told = {"kind": scene.kind, "size": ready.size, "omissions": rows}
+        told["assumed"] = assumed_rows(ready)
         if memory is not None:
             told |= {"memory": asdict(memory), "seconds": None}
         say(json.dumps(told, indent=2))
@@ -112,8 +113,7 @@ def plan_file(options: argparse.Namespace, say: Callable[[str], None]) -> None:
     for o in omissions:
         table.add_row(o.name, "yes" if o.applied else "no", o.reason, _error_of(o))
     Console(width=None if Console().is_terminal else 120).print(table)
-    if ready.assumed:
-        say(f"assumed: {', '.join(ready.assumed)}")
+    _say_assumed(ready, say)
 
 
 def _error_of(omission: Omission) -> str:
@@ -255,12 +255,27 @@ def _run(
         for row in csv.DictReader(table):
             said = in_words(float(row["value"]), row["unit"])
             say(f"  {row['quantity']:42s} {said}")
-    assumed = ", ".join(prepared.assumed)
-    if assumed:
-        say(f"assumed: {assumed}")
+    _say_assumed(prepared, say)
     say(f"table: {folder.path / SUMMARY_FILE}")
     say(f"plot:  {folder.path / PLOT_FILE}")
     return folder
+
+
+def assumed_rows(ready: Prepared) -> list[dict[str, object]]:
+    """Every value in use that is assumed, fitted or known to be wrong, with where it comes from."""
+    return [{"name": name, **asdict(value)} for name, value in ready.assumed.items()]
+
+
+def _say_assumed(ready: Prepared, say: Callable[[str], None]) -> None:
+    """The same for a reader, a line each."""
+    if not ready.assumed:
+        return
+    say("assumed, fitted or known to be wrong:")
+    for name, v in ready.assumed.items():
+        several = v.value if isinstance(v.value, list) else [v.value]
+        text = ", ".join(x if isinstance(x, str) else in_words(x, v.unit) for x in several)
+        where = ", ".join(filter(None, (v.source, v.where)))
+        say(f"  {name:42s} {text:24s} {v.kind}{f': {where}' if where else ''}")
 
 
 def in_words(value: float, unit: str) -> str:

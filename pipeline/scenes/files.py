@@ -50,12 +50,14 @@ class SceneFile:
         changed since.
         """
         ready = KINDS[self.kind].prepare(Given(dict(self.values), self.name))
-        if self.beside is not None and dict(ready.beside) != dict(self.beside):
-            changed = [n for n in ready.beside if ready.beside[n] != self.beside.get(n)]
-            what = changed[0] if changed else "the list of its data"
-            raise ValueError(
-                f"{self.name}: {what} has changed since this scene was stored; run its TOML file"
-            )
+        if self.beside is not None:
+            for name, now in ready.beside.items():
+                before = self.beside.get(name)
+                if before is None or before.value != now.value:
+                    raise ValueError(
+                        f"{self.name}: {name} has changed since this scene was stored; run its "
+                        "TOML file"
+                    )
         return ready
 
     def changed(self, spacing: str | None, times: Sequence[str] | None) -> SceneFile:

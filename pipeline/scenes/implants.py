@@ -39,6 +39,11 @@ KEYS: dict[str, Key] = {
 }
 """Keys of an implant's file."""
 
+MECHANICS = (
+    "young_modulus", "poisson_ratio", "yield_stress", "ultimate_tensile_strength", "uniform_strain",
+    "q1",
+)  # fmt: skip
+"""Of an alloy: what a pull uses."""
 OF_INTACT = "of the intact implant (damage between the nodes, which have one rate each)"
 
 
@@ -122,7 +127,7 @@ def _pull(given: Given, implant: str, solids: dict[str, Solid], beside) -> Pull 
             f"'{implant}', as a screw or a file"
         )
     alloy = load_alloy(given.text("strength.alloy"))
-    beside.add(alloy.name, alloy)
+    beside.add(alloy.name, alloy, MECHANICS)
     sizes = [
         given.otherwise(f"strength.{key}", value, "m", "quick mesh of the life cycle")
         for key, value in (("mesh_size", 0.3e-3), ("mesh_size_fine", 0.2e-3), ("grip", 0.7e-3))
@@ -187,7 +192,7 @@ def strengths(made: Joint, pull: Pull, results: Sequence[GalvanicResult]) -> lis
     hardening = fit_voce(
         alloy.yield_stress.si, alloy.ultimate_tensile_strength.si, alloy.uniform_strain.si
     )
-    material = Material(alloy.young_modulus.si, alloy.poisson_ratio.si, hardening)
+    material = Material(alloy.young_modulus.si, alloy.poisson_ratio.si, hardening, alloy.q1.si)
     settings = TensileSettings("P2", peak_drop=0.05, grips=Grips(pull.grip, pull.grip))
     damages = [np.zeros(len(mesh.cells))]
     for result in results:

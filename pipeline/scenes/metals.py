@@ -29,6 +29,8 @@ from perilife_data import (
     load_medium,
     load_reaction_set,
 )
+from perilife_data.schema import Record
+from perilife_data.units import UNITS
 from pipeline.scene.laws.polarization import polarization_law
 from pipeline.scene.resolve import corrosion_parameters, fit_of
 from pipeline.scenes.bodies import BODY_KEYS
@@ -39,8 +41,10 @@ from pipeline.stages.corrosion import dissolution_flux
 T = TypeVar("T")
 OWN = "own"
 """Parameters of a metal: those of its alloy's own file."""
-USED = ("solid_concentration", "interface_diffusivity", "volume_loss_scale", "kernel_exponent")
-"""Constants of a parameter set that a couple has a use for; its liquid has [ions] of its own."""
+CONSTANTS = ("solid_concentration", "charge_number", "self_corrosion", "volume_loss_scale")
+"""What a metal that dissolves may be given in place of its alloy's or its set's."""
+COMPOSITION = ("mass_fractions", "elements", "density", "solid_concentration")
+"""Of an alloy: C_solid and what that is computed from."""
 LAWS = ("linear", "tafel", "butler-volmer", "insulated")
 METAL_KEYS: dict[str, Key] = {
     **BODY_KEYS,
@@ -112,13 +116,27 @@ class Beside:
 
     values: dict[str, Value] = field(default_factory=dict)
 
-    def add(self, name: str, data: object, only: Collection[str] = ()) -> None:
-        """All quantities of an electrode or alloy, or only those named."""
-        for quantity, q in data.quantities().items():  # type: ignore[attr-defined]
-            if only and quantity not in only:
-                continue
-            where = f"{q.where} ({q.conditions})" if q.conditions else q.where
-            self.values[f"{name}: {quantity}"] = Value(q.si, "SI", q.source, where, q.kind)
+    def add(self, name: str, data: Record, used: Collection[str]) -> None:
+        """The quantities of a record that are used, by their names or by the first part of these.
+
+        name : that the record is listed by.
+        """
+        for quantity, q in data.quantities().items():
+            if quantity in used or quantity.split(".")[0] in used:
+                where = f"{q.where} ({q.conditions})" if q.conditions else q.where
+                unit = next(iter(UNITS[q.dimension]))
+                self.values[f"{name}: {quantity}"] = Value(q.si, unit, q.source, where, q.kind)
+
+    def add_electrode(self, electrode: Electrode) -> None:
+        """What the law of an electrode uses (pipeline.scene.laws.polarization)."""
+        names = {n for n in electrode.quantities() if not n.endswith("published_tafel_slope")}
+        if electrode.butler_volmer is None:
+            names.discard("temperature")
+        self.add(electrode.name, electrode, names)
+        if electrode.curve is not None:
+            points, unit = list(electrode.curve.currents), "A/m^2"
+            about = (electrode.curve.source, electrode.curve.where, electrode.curve.kind)
+            self.values[f"{electrode.name}: curve"] = Value(points, unit, *about)
 
 
 def conductivity(given: Given, beside: Beside) -> float:
@@ -131,12 +149,16 @@ def conductivity(given: Given, beside: Beside) -> float:
     if not medium.reactions:
         raise ValueError(f"{given.file}: liquid.medium is '{medium.name}', which names no ions")
     temperature = medium.temperature.si
-    mobile = load_reaction_set(medium.reactions).at(temperature).diffusivity
-    total = 0.0
-    for name, species in medium.species.items():
-        if name in mobile:
-            charge = species.charge_number.si
-            total += charge**2 * mobile[name] * species.total_concentration.si
+    reactions = load_reaction_set(medium.reactions)
+    mobile = reactions.at(temperature).diffusivity
+    ions = {n: species for n, species in medium.species.items() if n in mobile}
+    total = sum(
+        ion.charge_number.si**2 * mobile[n] * ion.total_concentration.si for n, ion in ions.items()
+    )
+    of_ions = [n for n in medium.quantities() if n.split(".")[1:2] and n.split(".")[1] in ions]
+    beside.add(medium.name, medium, ["temperature", *of_ions])
+    for name in ions:
+        beside.add(f"{reactions.name}: {name}", reactions.species[name], ["diffusivity"])
     kappa = FARADAY**2 / (GAS_CONSTANT * temperature) * total
     beside.values[f"{medium.name}: conductivity"] = Value(
         kappa, "S/m", "", "F^2/(RT) sum z^2 D C of the ions as listed, dilute", "derived"
@@ -222,7 +244,7 @@ def metals_of(
         law: Polarization
         if f"{table}.electrode" in given:
             electrode = load_electrode(given.text(f"{table}.electrode"))
-            beside.add(electrode.name, electrode)
+            beside.add_electrode(electrode)
             electrodes[name], law = electrode, polarization_law(electrode)
         else:
             law = _own_law(given, table)
@@ -264,36 +286,43 @@ def _dissolving(given: Given, table: str, beside: Beside) -> dict:
     dissolves = f"{table}.dissolves" in given and given.text(f"{table}.dissolves") == "yes"
     if not dissolves:
         return out
+    without = {name for name in CONSTANTS if f"{table}.{name}" in given}
     known: dict[str, float] = {}
     if f"{table}.alloy" in given or f"{table}.parameters" in given:
         alloy = load_alloy(given.text(f"{table}.alloy"))
-        beside.add(alloy.name, alloy)
         known = {
             "solid_concentration": alloy.solid_concentration.si,
             "charge_number": alloy.charge_number.si,
         }
+        used = ["charge_number"] if "charge_number" not in without else []
         if f"{table}.parameters" in given:
-            known |= _of_a_set(given.text(f"{table}.parameters"), alloy, beside)
-    for name in ("solid_concentration", "charge_number", "self_corrosion", "volume_loss_scale"):
-        if f"{table}.{name}" in given:
-            known[name] = given.number(f"{table}.{name}")
+            known |= _of_a_set(given.text(f"{table}.parameters"), alloy, beside, without)
+        elif "solid_concentration" not in without:
+            used += COMPOSITION
+        beside.add(alloy.name, alloy, used)
+    known |= {n: given.number(f"{table}.{n}") for n in without - {"volume_loss_scale"}}
     for name in ("solid_concentration", "charge_number"):
         if name not in known:
             raise ValueError(f"{given.file}: {table}.{name} is missing; a metal that dissolves "
                              "needs it, or an alloy")  # fmt: skip
         out[name] = known[name]
-    if "self_corrosion" in known:
-        out["self_corrosion"] = out["charge_number"] * FARADAY * known["self_corrosion"]
     law: Kinetics = ConstantRate()
-    if "volume_loss_scale" in known:
-        law = VolumeLossLaw(known["volume_loss_scale"])
+    if known.get("self_corrosion"):
+        out["self_corrosion"] = out["charge_number"] * FARADAY * known["self_corrosion"]
+        if "volume_loss_scale" in without:
+            known["volume_loss_scale"] = given.number(f"{table}.volume_loss_scale")
+        if "volume_loss_scale" in known:
+            law = VolumeLossLaw(known["volume_loss_scale"])
     return {**out, "kinetics": law}
 
 
-def _of_a_set(name: str, alloy: Alloy, beside: Beside) -> dict[str, float]:
+def _of_a_set(
+    name: str, alloy: Alloy, beside: Beside, without: Collection[str]
+) -> dict[str, float]:
     """What a parameter set says of an alloy that corrodes by itself in clean liquid, SI.
 
-    name : of a set, a TOML file, or OWN: the constants of the alloy's own file.
+    name : of a set, a TOML file, or OWN: the constants of the alloy's own file.  without : those
+    that the scene gives itself.
     """
     fit = fit_of(alloy, None if name == OWN else name)
     if fit is None:
@@ -302,13 +331,19 @@ def _of_a_set(name: str, alloy: Alloy, beside: Beside) -> dict[str, float]:
             "must be a parameter set, as `perilife calibrate` writes it"
         )
     constants = corrosion_parameters(alloy, fit)
+    assert constants.volume_loss_scale is not None
     flux = dissolution_flux(constants, float(fit.parameters.kernel_exponent))
     called = f"{alloy.name}, parameters"
-    beside.add(called, fit.parameters, USED)
-    beside.values[f"{called}: self_corrosion"] = Value(
-        flux, "mol/(m^2 s)", "", "D_int C_solid S of the lattice that the set is for", "derived"
-    )
-    assert constants.volume_loss_scale is not None
+    used = {"solid_concentration", "volume_loss_scale"} - set(without)
+    if "self_corrosion" not in without:
+        used |= {"solid_concentration", "interface_diffusivity", "kernel_exponent"}
+        beside.add(called, fit.scene, ["spacing", "horizon_ratio"])
+        beside.values[f"{called}: self_corrosion"] = Value(
+            flux, "mol/(m^2 s)", "", "D_int C_solid S of the lattice that the set is for", "derived"
+        )
+    beside.add(called, fit.parameters, used)
+    if "solid_concentration" in used and fit.parameters.solid_concentration.kind == "derived":
+        beside.add(alloy.name, alloy, COMPOSITION)
     return {
         "solid_concentration": constants.solid_concentration,
         "self_corrosion": flux,

@@ -16,6 +16,7 @@ from peri.coupled.galvanic import corrode as march_couple
 from peri.engine.lattice import Lattice
 from peri.engine.omission import Omission
 from peri.engine.results import Field
+from perilife_data import TO_BE_LISTED
 
 
 @dataclass(frozen=True)
@@ -116,9 +117,9 @@ class Prepared:
     """A scene, checked and ready.
 
     values : for the record, by their keys.  march : to its times.  beside : values of data files
-    that it uses, by name.  reductions : what it need not compute until a time (s).  size : of what
-    is computed, in words.  alone : why one process computes it; empty where ranks may, too.
-    nodes : of the lattice that is marched, 0 where there is none.
+    that it uses, those alone, by name.  reductions : what it need not compute until a time (s).
+    size : of what is computed, in words.  alone : why one process computes it; empty where ranks
+    may, too.  nodes : of the lattice that is marched, 0 where there is none.
     """
 
     values: Mapping[str, Value]
@@ -130,7 +131,7 @@ class Prepared:
     nodes: int = 0
 
     @property
-    def assumed(self) -> list[str]:
-        """Names of the values that are assumed or fitted."""
+    def assumed(self) -> dict[str, Value]:
+        """The values in use that are assumed, fitted or known to be wrong, by name."""
         every = {**self.values, **self.beside}
-        return [name for name, v in every.items() if v.kind in ("assumed", "fitted")]
+        return {name: v for name, v in every.items() if v.kind in TO_BE_LISTED}

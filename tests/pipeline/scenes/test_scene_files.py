@@ -14,12 +14,14 @@ from peri.corrosion.interface.faradaic import Faradaic
 from peri.corrosion.kinetics import VolumeLossLaw
 from peri.engine.constants import FARADAY
 from peri.engine.lattice import Lattice
-from perilife_data import load_parameter_set
+from perilife_data import TO_BE_LISTED, load_parameter_set
 from perilife_data.references import FOLDER
 from pipeline.cli import main
-from pipeline.scenes import crevices, grains, pits, pits_2d
+from pipeline.scenes import crevices, grains, implants, pits, pits_2d
 from pipeline.scenes.couples import ae44_scene
 from pipeline.scenes.files import read_scene
+from pipeline.scenes.keys import Given
+from pipeline.scenes.metals import Beside
 from pipeline.scenes.registry import KINDS, path_of, shipped
 from tests.pipeline.command_line import refused
 
@@ -231,7 +233,50 @@ def test_plan_and_json(tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["kind"] == "galvanic"
     options = ["--out", str(tmp_path / "run"), "--quiet", "--json", "--immersion", "1min"]
     assert main(["run", str(file), *options]) == 0
-    assert json.loads(capsys.readouterr().out)["summary"]["current at the start"][1] == "A/m"
+    told = json.loads(capsys.readouterr().out)
+    assert told["summary"]["current at the start"][1] == "A/m"
+    horizon = {"name": "lattice.horizon", "value": 2e-3, "unit": "m", "kind": "assumed"}
+    assert horizon | {"source": "", "where": "two spacings"} in told["assumed"]
+
+
+def test_what_is_listed_as_assumed_is_what_the_scene_uses(tmp_path, capsys):
+    """Of an alloy that dissolves not its strength, of a set not what the scene gives itself."""
+
+    def listed(text: str) -> dict[str, str]:
+        (tmp_path / "own.toml").write_text(text)
+        assumed = read_scene(tmp_path / "own.toml").prepared().assumed
+        return {name: value.kind for name, value in assumed.items() if ": " in name}
+
+    plain = OWN.replace('medium = "sodium-chloride-142"', 'conductivity = "2 S/m"')
+    assert listed(plain) == {}
+    of_medium = {"temperature", "species.Na.total_concentration", "species.Cl.total_concentration"}
+    found = {name.split(": ", 1)[1] for name in listed(OWN)}
+    assert found == of_medium | {f"{ion}: diffusivity.310.15" for ion in ("Na", "Cl")}
+    of_set = plain.replace('alloy = "Mg-5Gd"', 'alloy = "Mg-5Gd"\nparameters = "table-5.1"')
+    called = "Mg-5Gd, parameters: "
+    whole = listed(of_set[: of_set.index("self_corrosion")])
+    constants = load_parameter_set("table-5.1").for_alloy("Mg-5Gd").quantities()
+    used = ("interface_diffusivity", "kernel_exponent", "solid_concentration", "volume_loss_scale")
+    doubted = {n: q.kind for n, q in constants.items() if q.kind in TO_BE_LISTED}
+    lattice = {called + "horizon_ratio": "assumed"}  # that the D_int is for
+    assert whole == {called + n: doubted[n] for n in used if n in doubted} | lattice
+    # D_int is not in use where the scene has the rate itself
+    less = listed(of_set)
+    assert called + "solid_concentration" in less and set(less) < set(whole)
+    own = of_set + "solid_concentration = 7e4\nvolume_loss_scale = 0.1\n"
+    assert listed(own) == {}
+    (tmp_path / "own.toml").write_text(own.replace("1e-7 mol", "0 mol"))
+    refused(capsys, ["plan", str(tmp_path / "own.toml")], "metals.pin.volume_loss_scale", "no use")
+
+
+def test_of_the_alloy_that_is_pulled_its_mechanics_are_listed():
+    values, beside = read_scene(path_of("screw-in-titanium-plate")).values, Beside()
+    given = Given(dict(values), "plate")
+    pull = implants._pull(given, "screw", {"screw": None}, beside)
+    assert set(beside.values) == {f"Mg-5Gd: {name}" for name in implants.MECHANICS}
+    found = beside.values["Mg-5Gd: yield_stress"]
+    assert (found.value, found.unit, found.kind) == (130e6, "Pa", "assumed")
+    assert pull.alloy.yield_stress.si == found.value and found.source == "harmuth2019"
 
 
 CHANGES = [
