@@ -6,6 +6,8 @@ export OMP_NUM_THREADS ?= 1
 export OMP_WAIT_POLICY ?= passive
 export PYVISTA_OFF_SCREEN ?= true
 export MPLBACKEND ?= Agg
+# A hundred processes of the tests would compile every module anew.
+export PYTHONDONTWRITEBYTECODE :=
 
 RUN_FOLDER ?= runs/screw
 # A process per core, four at most (each may take 1 GB); fixtures of a file are made once.

@@ -12,7 +12,9 @@ import time
 from pathlib import Path
 
 from pipeline.record.worker import serve
-from pipeline.stages.strength import LOG_FILE
+
+LOG_FILE = "tensile.log"
+"""That of pipeline.stages.strength, which would take most of a child's second to import."""
 
 
 def pretend(job: dict) -> str:

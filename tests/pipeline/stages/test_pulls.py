@@ -9,9 +9,10 @@ import pytest
 from pipeline.scene.scene import MaterialParameters, TensileScene
 from pipeline.stages import pulls
 from pipeline.stages.pulls import Crew, PullQueue, TensileStageError, run_jobs
-from pipeline.stages.strength import TensileJob
+from pipeline.stages.strength import LOG_FILE, TensileJob
+from tests.pipeline.stages import pretending
 
-PRETENDING = "tests.pipeline.stages.pretending"
+PRETENDING = pretending.__name__
 
 
 @pytest.fixture(params=["kept", "alone"])
@@ -33,6 +34,10 @@ def job(out: Path) -> TensileJob:
 def test_a_job_survives_its_file(tmp_path):
     written = job(tmp_path / "a")
     assert TensileJob.read(written.write()) == written
+
+
+def test_children_that_pretend_write_the_log_of_those_that_pull():
+    assert pretending.LOG_FILE == LOG_FILE
 
 
 def test_jobs_run_side_by_side_up_to_the_number_asked_for(tmp_path, way):
