@@ -116,7 +116,11 @@ class Table:
         """Return a key of the bibliography."""
         source = self.text(key)
         if source not in self.sources:
-            raise self.fail(key, f"is '{source}', which is not a key of references.bib")
+            raise self.fail(
+                key,
+                f"is '{source}', which is not a key of references.bib, neither of the shipped one "
+                f"nor of one in the folder of {self.file}",
+            )
         return source
 
     def source_or_none(self, key: str) -> str:
@@ -186,7 +190,9 @@ def read(path: Path) -> Table:
         with path.open("rb") as file:
             entries = tomllib.load(file)
     except FileNotFoundError:
-        raise FileNotFoundError(f"{path}: there is no such file") from None
+        others = [file.name for file in path.parent.glob("*.toml")]
+        near = did_you_mean(path.name, others)
+        raise FileNotFoundError(f"{path}: there is no such file{near}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: not a valid TOML file: {error}") from None
     except RecursionError:

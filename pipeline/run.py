@@ -85,6 +85,11 @@ def resolved(options: argparse.Namespace) -> tuple[Scene, object]:
 
     check_counts(options.np, options.pulls, options.oversubscribe)
     check_counts(options.ranks, None, options.oversubscribe, "--ranks")
+    if options.samples is None:
+        for name in ("strength_tolerance", "surrogate"):
+            if getattr(options, name) is not None:
+                option = f"--{name.replace('_', '-')}"
+                raise ValueError(f"{option} goes with --samples, which must be given too")
     scene, solid = fitting_scene(options)
     _wanted(options, scene)
     return scene, solid
@@ -124,7 +129,8 @@ def carry_out(
         return folder, run_life_cycle(scene, folder, solid=solid, **shared)
     from pipeline.campaigns.bands import run_with_bands
 
-    shared["tolerance"] = options.strength_tolerance
+    if options.strength_tolerance is not None:
+        shared["tolerance"] = options.strength_tolerance
     shared["surrogate"] = options.surrogate
     return folder, run_with_bands(scene, folder.path, options.samples, **shared)
 

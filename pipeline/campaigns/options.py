@@ -20,9 +20,8 @@ def add_sample_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--strength-tolerance",
         type=float,
-        default=0.01,
         metavar="X",
-        help="of the strength curve behind the bands, of the intact strength (0.01)",
+        help="with --samples: of the strength curve behind the bands, over the intact one's (0.01)",
     )
     parser.add_argument(
         "--surrogate",

@@ -140,6 +140,7 @@ def make_plan(
         )
     ]
     labels = ", ".join(time.label for time in times)
+    marches = with_march and times[-1].seconds > 0
     ion_seconds, ion_disk = _ion_cost(scene, len(times))
     march_memory = COST.corrosion_bytes_per_node * nodes
     if scene.ions is not None:
@@ -175,7 +176,7 @@ def make_plan(
     tasks.append(
         Task(
             "map",
-            f"{pulls * len(counts)} damage maps",
+            _many(pulls * len(counts), "damage map"),
             f"{quadrature:,} quadrature points each",
             COST.map_seconds_per_cell * sum(count[0] for count in counts) * pulls,
             BASE_MEMORY + 100.0 * quadrature,
@@ -188,7 +189,7 @@ def make_plan(
         tasks.append(
             Task(
                 "pull",
-                f"{pulls} {LOADS[test.load].test}s ({hold.name}), {at_once} at a time",
+                f"{_many(pulls, LOADS[test.load].test)} ({hold.name}), {at_once} at a time",
                 f"{each:,} unknowns each ({test.element})",
                 seconds_of_test(hold, each) * pulls / at_once,
                 at_once * (ranks * BASE_MEMORY + COST.tensile_bytes_per_unknown * each),
@@ -211,7 +212,7 @@ def make_plan(
     return Plan(
         tasks=tuple(tasks),
         omissions=tuple(
-            scene_omissions(scene) + (_march_omissions(scene, solid) if with_march else [])
+            scene_omissions(scene) + (_march_omissions(scene, solid) if marches else [])
         ),
         nodes=nodes,
         unknowns=unknowns,
@@ -334,6 +335,10 @@ def mesh_counts(scene: Scene, solid: Solid, hold: HoldScene) -> tuple[int, int, 
     element = ELEMENTS[hold.tensile.element]
     points = 0.95 * cells**0.883 if element.order == 1 else 3.65 * cells**0.931
     return cells, 3 * round(points), cells * element.points
+
+
+def _many(count: int, what: str) -> str:
+    return f"{count} {what}{'' if count == 1 else 's'}"
 
 
 def _march_omissions(scene: Scene, solid: Solid) -> list[LeftOut]:

@@ -48,8 +48,8 @@ class UntilRow:
     def in_words(self) -> str:
         """The answer in one sentence."""
         names, part = LOADS[self.load], HOLDINGS[self.hold].part
-        wanted = f"{names.shown(self.wanted_peak)} ({100 * self.wanted_ratio:.1f} %)"
-        has = f"{names.shown(self.peak_reaction)} ({100 * self.strength_ratio:.1f} %)"
+        wanted = f"{names.shown(self.wanted_peak)} ({_percent(self.wanted_ratio)})"
+        has = f"{names.shown(self.peak_reaction)} ({_percent(self.strength_ratio)})"
         lead = f"{self.alloy}, {part}"
         if self.outcome == ALWAYS:
             return (
@@ -72,6 +72,11 @@ class UntilRow:
     @staticmethod
     def _time(days: float) -> str:
         return f"{days / 7:.1f} weeks" if days >= 14 else f"{days:.1f} days"
+
+
+def _percent(ratio: float) -> str:
+    """A ratio for a reader, whatever was asked for."""
+    return f"{100 * ratio:.1f} %" if ratio == 0 or 1e-3 <= ratio < 100 else f"{100 * ratio:.3g} %"
 
 
 _COLUMNS = {

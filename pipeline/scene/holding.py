@@ -7,9 +7,13 @@ from dataclasses import dataclass
 
 from pipeline.scene.image import ImageFile
 from pipeline.scene.scene import Geometry, SceneError, ScrewGeometry
+from pipeline.scene.units import format_length
 
 GIVEN = "own"
 """Name of a way of holding whose depths were given one by one."""
+
+SHORTEST_GRIP = 1e-6
+"""The shortest grip (m) that holds more than an end face; far below any cell's edge."""
 
 SLOT_HORIZONS = 1.5
 """Depth of the top grip where the slotted section is tested, in horizons: below the crust of the
@@ -97,7 +101,16 @@ def grip_depths(name: str, geometry: Geometry, horizon: float) -> tuple[float, f
 
 
 def check_ends(depths: tuple[float, float], geometry: Geometry) -> None:
-    """Refuse to hold an end face that is not plane, as those of a solid from an image are not."""
+    """Refuse to hold an end face that is not plane, as those of a solid from an image are not.
+
+    And grips shorter than any cell, which hold an end face and are not treated as such.
+    """
+    for name, depth in zip(("bottom", "top"), depths, strict=True):
+        if 0.0 < depth < SHORTEST_GRIP:
+            raise SceneError(
+                f"{name} grip is {format_length(depth)}; it must be 0mm (the end face) or at least "
+                f"{format_length(SHORTEST_GRIP)}"
+            )
     if 0.0 in depths and isinstance(geometry, ImageFile):
         raise SceneError(
             "an end face is to be held and the solid is from an image, whose ends are round at the "

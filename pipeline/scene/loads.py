@@ -50,6 +50,8 @@ class LoadNames:
     def shown(self, reaction: float) -> str:
         """A force [N], torque or moment [N m] for a reader."""
         value = self.shown_factor * reaction
+        if value >= 1e6:
+            return f"{value:.3g} {self.shown_unit}"
         return f"{value:.0f} {self.shown_unit}" if value >= 10 else f"{value:.2g} {self.shown_unit}"
 
 

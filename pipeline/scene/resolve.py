@@ -163,6 +163,8 @@ def _holds(
             raise SceneError(f"hold is {' '.join(asked)}; it must be without repetition")
         ways = {name: holding.grip_depths(name, geometry, lattice.horizon) for name in asked}
     load = tensile.get("load", "axial")
+    if faces_size is not None:  # refused out of its range where no end face is pulled, too
+        dataclasses.replace(mesh, size_bottom=faces_size)
     holds = []
     for name, (bottom, top) in ways.items():
         faces = 0.0 in (bottom, top) and load == "axial"
@@ -310,4 +312,7 @@ def rate_law(scene: Scene, alloy: str) -> object:
             f"kinetics is '{scene.corrosion.kinetics}'; its saturation_concentration must be left "
             f"out or be that of {alloy}, {alloys:g} mol/m^3"
         )
-    return KINETICS[name](**numbers)
+    try:
+        return KINETICS[name](**numbers)
+    except ValueError as error:
+        raise ValueError(f"kinetics is '{scene.corrosion.kinetics}'; its {error}") from None

@@ -19,7 +19,7 @@ _VOLUMES = {name: size for name, size in UNITS["volume"].items() if name.isalpha
 RADIANS_PER = UNITS["angle"]
 """Angle units accepted on the command line and their size in radians."""
 
-_TIME = re.compile(r"([+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)\s*([a-zA-Z]*)")
+_TIME = re.compile(r"([+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)\s*([a-zA-Z]*)", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ def format_length(value: float) -> str:
     return f"{value * 1e6:.4g} um" if abs(value) < 1e-3 else f"{value * 1e3:.4g} mm"
 
 
-_QUANTITY = re.compile(r"([+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)\s*([a-zA-Z]+)?")
+_QUANTITY = re.compile(r"([+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)\s*([a-zA-Z]+)?", re.ASCII)
 
 
 def parse_angle(text: str, field: str = "angle") -> float:

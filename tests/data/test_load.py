@@ -242,8 +242,11 @@ def test_an_unknown_name_is_answered_with_the_known_ones(load, message: str) -> 
 
 
 def test_a_missing_file_and_a_missing_alloy(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match="own.toml: there is no such file"):
+    with pytest.raises(FileNotFoundError, match=r"own.toml: there is no such file$"):
         perilife_data.load_alloy(tmp_path / "own.toml")
+    (tmp_path / "mg-zn.toml").touch()
+    with pytest.raises(FileNotFoundError, match=r"no such file \(did you mean mg-zn.toml\?\)"):
+        perilife_data.load_alloy(tmp_path / "Mg-Zn.toml")
     with pytest.raises(ValueError, match="set 'table-5.1' has no alloy 'WE43'; it holds Mg-5Gd"):
         perilife_data.load_parameter_set("table-5.1").for_alloy("WE43")
 

@@ -198,6 +198,24 @@ def test_a_solid_read_in_another_unit_is_refused_by_its_size(tmp_path, capsys):
         refused(capsys, [*plan, unit], *words)
 
 
+@pytest.mark.parametrize(
+    "more, words",
+    [
+        (["--strength-tolerance", "0.1"], ["--strength-tolerance goes with --samples"]),
+        (["--surrogate", "5"], ["--surrogate goes with --samples"]),
+        (["--mesh-size-faces", "0mm"], ["mesh size", "above 0"]),
+        (["--mesh-size-faces", "1m"], ["mesh size is 1000 mm", "at most the mesh size"]),
+        (["--bottom-grip", "1e-9mm"], ["bottom grip", "0mm (the end face) or at least 1 um"]),
+        (["--kinetics", "volume_loss:length=0"], ["'volume_loss:length=0'; its length: 0.0"]),
+        (["--pitch", "１mm"], ["pitch '１mm' is not understood"]),
+    ],
+)
+def test_options_out_of_range_are_refused_where_they_do_nothing_too(more, words, tmp_path, capsys):
+    out = tmp_path / "run"
+    refused(capsys, ["run", *SCENE, *more, "--out", str(out)], *words)
+    assert not out.exists()
+
+
 def test_a_poisson_ratio_of_one_half_in_an_own_alloy_is_refused(tmp_path, capsys):
     folder = Path(perilife_data.__file__).parent / "alloys"
     text = (folder / "mg-5gd.toml").read_text()

@@ -41,7 +41,7 @@ def run_alloy(options: argparse.Namespace, say: Callable[[str], None]) -> None:
         say(
             f'To fill in, each marked "{FILL_IN}": title; composition; young_modulus, '
             "poisson_ratio, yield_stress, ultimate_tensile_strength, uniform_strain, q1, each with "
-            "source and kind."
+            "kind and source (a key of references.bib in its folder; the file begins with one)."
         )
     say("With [corrosion] it can be corroded, too; without, it can be pulled (--immersion 0w).")
     if options.like is None:

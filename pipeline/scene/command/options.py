@@ -71,7 +71,10 @@ def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -
             "--immersion", nargs="+", required=True, metavar="T", help="rising times: 8w, 56d, 36h"
         )
     parser.add_argument(
-        "--resolution", default="quick", metavar="R", help=f"{', '.join(RESOLUTIONS)} (quick)"
+        "--resolution",
+        default="quick",
+        metavar="R",
+        help=f"preset of accuracy and run time: {', '.join(RESOLUTIONS)} (quick)",
     )
     parser.add_argument(
         "--parameters",
@@ -88,25 +91,41 @@ def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -
     screw = parser.add_argument_group("geometry (lengths with unit: 2mm, 100um)")
     for name, text in _SCREW_LENGTHS.items():
         screw.add_argument(f"--{name.replace('_', '-')}", metavar="LENGTH", help=text)
-    screw.add_argument("--thread", metavar="KIND", help=", ".join(THREADS))
+    screw.add_argument("--thread", metavar="KIND", help=f"{', '.join(THREADS)} ({THREADS[0]})")
     screw.add_argument("--solid", metavar="FILE", help="closed solid instead: STEP, BREP or STL")
     screw.add_argument("--unit", metavar="U", help=f"of the solid: {', '.join(METRES_PER)} (mm)")
     add_image_options(screw)
-    corrosion = parser.add_argument_group("corrosion, where the preset is not wanted")
+    corrosion = parser.add_argument_group("corrosion, in place of the preset (--resolution)")
     corrosion.add_argument(
         "--spacing",
         metavar="LENGTH",
-        help="lattice spacing; auto: the preset's, or finer where the solid needs it",
+        help="lattice spacing (preset); auto: the preset's, or finer where the solid needs it",
     )
-    corrosion.add_argument("--horizon", metavar="LENGTH", help="the grips hold that much more, too")
+    corrosion.add_argument(
+        "--horizon",
+        metavar="LENGTH",
+        help="how far metal exchanges matter with the liquid (preset: 200um); the grips hold that "
+        "much more, too",
+    )
     corrosion.add_argument(
         "--step",
         metavar="TIME",
         help="fixed time step (controlled), shortened where rate classes dissolve",
     )
-    corrosion.add_argument("--rate-change", type=float, metavar="X", help="step control")
-    corrosion.add_argument("--scheme", metavar="S", help=", ".join(TIME_SCHEMES))
-    corrosion.add_argument("--saturation", metavar="S", help=", ".join(SATURATIONS))
+    corrosion.add_argument(
+        "--rate-change",
+        type=float,
+        metavar="X",
+        help="step control: of a rate in a step (preset)",
+    )
+    corrosion.add_argument(
+        "--scheme", metavar="S", help=f"of the time steps: {', '.join(TIME_SCHEMES)} (sdirk2)"
+    )
+    corrosion.add_argument(
+        "--saturation",
+        metavar="S",
+        help=f"of the liquid at C_sat: {', '.join(SATURATIONS)} (complementarity)",
+    )
     corrosion.add_argument(
         "--kinetics",
         metavar="LAW",
@@ -123,7 +142,11 @@ def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -
         metavar="LAW",
         help=f"of a bond: {', '.join(DISSOLUTION_LAWS)} (proportional, as published)",
     )
-    corrosion.add_argument("--calibration", metavar="C", help=", ".join(CALIBRATIONS))
+    corrosion.add_argument(
+        "--calibration",
+        metavar="C",
+        help=f"of diffusion on the lattice: {', '.join(CALIBRATIONS)} (discrete)",
+    )
     corrosion.add_argument(
         "--classes",
         metavar="P",
@@ -144,10 +167,20 @@ def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -
         help="compute all the same, of what `perilife plan` lists as left out: "
         + ", ".join(OMITTABLE),
     )
-    corrosion.add_argument("--domain", metavar="SHAPE", help=", ".join(DOMAIN_SHAPES))
-    corrosion.add_argument("--boundary", metavar="B", help=", ".join(BOUNDARIES))
-    corrosion.add_argument("--radial-margin", metavar="LENGTH", help="liquid beside the solid")
-    corrosion.add_argument("--axial-margin", metavar="LENGTH", help="liquid above and below it")
+    corrosion.add_argument(
+        "--domain", metavar="SHAPE", help=f"of the liquid: {', '.join(DOMAIN_SHAPES)} (cylinder)"
+    )
+    corrosion.add_argument(
+        "--boundary",
+        metavar="B",
+        help=f"edge of the liquid: {', '.join(BOUNDARIES)} (the parameter set's)",
+    )
+    corrosion.add_argument(
+        "--radial-margin", metavar="LENGTH", help="liquid beside the solid (0.5mm)"
+    )
+    corrosion.add_argument(
+        "--axial-margin", metavar="LENGTH", help="liquid above and below it (0.4mm)"
+    )
     ions = parser.add_argument_group("ions, pH and minerals (with --model nnpp)")
     ions.add_argument(
         "--model",
@@ -179,7 +212,7 @@ def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -
         f"balance={'|'.join(BALANCES)} and {', '.join(NUMBERS)} (none; assumed)",
     )
     ions.add_argument("--balance", metavar="ION", help="its amount as neutrality wants it")
-    tensile = parser.add_argument_group("tensile test, where the preset is not wanted")
+    tensile = parser.add_argument_group("tensile test, in place of the preset (--resolution)")
     tensile.add_argument(
         "--load",
         metavar="L",
@@ -194,8 +227,12 @@ def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -
         metavar="NAME",
         help="another record of an alloy's hardening (`perilife alloys`), or TOML file of one",
     )
-    tensile.add_argument("--mesh-size", metavar="LENGTH", help="edge length in the bulk")
-    tensile.add_argument("--mesh-size-fine", metavar="LENGTH", help="at thread and slot")
+    tensile.add_argument(
+        "--mesh-size", metavar="LENGTH", help="edge length of the cells in the bulk (preset)"
+    )
+    tensile.add_argument(
+        "--mesh-size-fine", metavar="LENGTH", help="the same at thread and slot (preset)"
+    )
     tensile.add_argument(
         "--mesh-size-faces", metavar="LENGTH", help="at end faces that are pulled (50um)"
     )
@@ -211,15 +248,26 @@ def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -
     tensile.add_argument(
         "--top-grip", metavar="LENGTH", help="held at the top (slot and horizon; 0mm: end face)"
     )
-    tensile.add_argument("--lateral", metavar="L", help=f"grips leave it {' or '.join(LATERAL)}")
+    tensile.add_argument(
+        "--lateral",
+        metavar="L",
+        help=f"grips leave sideways motion {' or '.join(LATERAL)} (free under axial load)",
+    )
     tensile.add_argument(
         "--peak-drop",
         type=float,
         metavar="X",
         help="end a test when the force has fallen by this fraction (0.05); 1: the whole curve",
     )
-    tensile.add_argument("--final-strain", type=float, metavar="X", help="nominal (0.1)")
-    tensile.add_argument("--increment", type=float, metavar="X", help="largest strain increment")
+    tensile.add_argument(
+        "--final-strain",
+        type=float,
+        metavar="X",
+        help="end a test at this elongation over the length between the grips (0.1)",
+    )
+    tensile.add_argument(
+        "--increment", type=float, metavar="X", help="largest strain increment (preset)"
+    )
     tensile.add_argument(
         "--damage",
         metavar="D",

@@ -44,6 +44,7 @@ EXAMPLES: dict[str, object] = {
     "hardening": ["mg-5gd-soft"],
     "pulls": 2,
     "samples": 200,
+    "strength_tolerance": 0.01,
     "surrogate": 40,
     "until_left": 0.8,
     "until_force": "300N",

@@ -1,6 +1,7 @@
 """When a part becomes too weak: the search on known courses, refusals, and real runs (slow)."""
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -87,6 +88,8 @@ def test_rows_are_read_as_written_and_say_the_answer(tmp_path):
     write_until(path, ROWS)
     assert read_until(path) == ROWS
     found, unmeasured, never, always = (row.in_words() for row in ROWS)
+    huge = replace(ROWS[3], wanted_ratio=1e97, wanted_peak=1e99).in_words()
+    assert "where 1e+99 N (1e+99 %) is asked" in huge
     assert found == (
         "Mg-5Gd, the shank: weaker than 362 N (80.0 %) from 11.9 weeks on, ± 1.4 days by the "
         "search, ± 13.0 days by lattice, mesh and increments; a full run to that time: 362 N "
