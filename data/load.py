@@ -116,11 +116,8 @@ class Table:
         """Return a key of the bibliography."""
         source = self.text(key)
         if source not in self.sources:
-            raise self.fail(
-                key,
-                f"is '{source}', which is not a key of references.bib, neither of the shipped one "
-                f"nor of one in the folder of {self.file}",
-            )
+            beside = f"neither of the shipped one nor of one in the folder of {self.file}"
+            raise self.fail(key, f"is '{source}', which is not a key of references.bib, {beside}")
         return source
 
     def source_or_none(self, key: str) -> str:
@@ -190,8 +187,7 @@ def read(path: Path) -> Table:
         with path.open("rb") as file:
             entries = tomllib.load(file)
     except FileNotFoundError:
-        others = [file.name for file in path.parent.glob("*.toml")]
-        near = did_you_mean(path.name, others)
+        near = did_you_mean(path.name, (file.name for file in path.parent.glob("*.toml")))
         raise FileNotFoundError(f"{path}: there is no such file{near}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: not a valid TOML file: {error}") from None

@@ -70,6 +70,8 @@ def _unfilled(entries: Mapping[str, object], table: str = "") -> Iterator[str]:
 
 
 def file_meant(name: str) -> str:
-    """` (did you mean NAME.toml?)` where there is such a file, or nothing."""
+    """` (did you mean NAME.toml?)` where there is such a file, or what a file must end in."""
     path = Path(f"{name}.toml")
+    if name and Path(name).is_file():
+        return " (a file of one's own must end in .toml)"
     return f" (did you mean {path}?)" if path.is_file() else ""

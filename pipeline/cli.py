@@ -163,7 +163,7 @@ def sentence(error: BaseException) -> str:
     """Say an error in one sentence on one line."""
     text = str(error)
     if isinstance(error, OSError) and error.errno is not None:
-        where = f"'{error.filename}'" if error.filename else "the run folder"
+        where = f"'{error.filename}'" if error.filename else "a file"
         reasons = {
             errno.ENOSPC: f"there is no space left to write {where}",
             errno.EACCES: f"there is no right to write or read {where}",

@@ -134,7 +134,7 @@ def init_file(options: argparse.Namespace, say: Callable[[str], None]) -> None:
     _refuse_others(options)
     kinds, name = {kind: entry.example for kind, entry in KINDS.items()}, options.kind
     if name not in kinds and name not in shipped():
-        known = [*kinds, *shipped()]
+        known = dict.fromkeys([*kinds, *shipped()])
         raise ValueError(
             f"--kind is '{name}'{did_you_mean(name, known)}; it must be life-cycle or one of "
             f"{', '.join(known)}"

@@ -48,6 +48,8 @@ def shipped() -> dict[str, Path]:
 def path_of(name: str) -> Path:
     """The file of a shipped scene; ValueError that names the known ones."""
     if name not in shipped():
+        if Path(name).is_file():
+            raise ValueError(f"scene is the file '{name}', which `perilife run {name}` computes")
         near, known = did_you_mean(name, shipped()), ", ".join(shipped())
         raise ValueError(f"scene '{name}' is not known{near}; it must be one of {known}")
     return shipped()[name]

@@ -245,6 +245,9 @@ def test_a_missing_file_and_a_missing_alloy(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"own.toml: there is no such file$"):
         perilife_data.load_alloy(tmp_path / "own.toml")
     (tmp_path / "mg-zn.toml").touch()
+    (tmp_path / "mg-zn.txt").touch()
+    with pytest.raises(ValueError, match=r"unknown \(a file of one's own must end in .toml\)"):
+        perilife_data.load_alloy(str(tmp_path / "mg-zn.txt"))
     with pytest.raises(FileNotFoundError, match=r"no such file \(did you mean mg-zn.toml\?\)"):
         perilife_data.load_alloy(tmp_path / "Mg-Zn.toml")
     with pytest.raises(ValueError, match="set 'table-5.1' has no alloy 'WE43'; it holds Mg-5Gd"):

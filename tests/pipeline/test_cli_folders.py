@@ -204,6 +204,7 @@ def test_commands_that_are_not_there_are_refused(capsys):
     refused(capsys, [], "no command")
     refused(capsys, ["dance"], "dance")
     refused(capsys, ["corode"], "corode", "did you mean corrode?")
+    refused(capsys, ["alloys", "--resume"], "unrecognized arguments: --resume (of another command)")
     refused(capsys, ["bench", "dance"], "dance", "quick-stages")
     refused(capsys, ["bench", "quick"], "did you mean quick-stages?")
     refused(capsys, ["study", "tensil", "--out", "x"], "did you mean tensile?")

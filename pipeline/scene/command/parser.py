@@ -37,7 +37,10 @@ class OneSentenceParser(argparse.ArgumentParser):
             kind = {"int": "a whole number", "float": "a number without unit or per cent sign"}
             message = f"{number[1]} is {number[3]}; it must be {kind[number[2]]}"
         unknown = re.search(r"(?:unrecognized arguments: |invalid choice: ')([^\s']+)", message)
-        near = did_you_mean(unknown.group(1), self._names()) if unknown else ""
+        near, names = "", self._names()
+        if unknown:
+            other = unknown.group(1) in names  # of a command
+            near = " (of another command)" if other else did_you_mean(unknown.group(1), names)
         raise ValueError(f"{message}{near}; see `{self.prog} --help`")
 
     def _names(self) -> set[str]:

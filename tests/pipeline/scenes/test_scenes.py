@@ -112,6 +112,9 @@ def test_refusals(tmp_path, capsys):
     out = ["--out", str(tmp_path / "run")]
     refused(capsys, ["scenes", "galvanic-slap", *out], "did you mean galvanic-slab")
     refused(capsys, ["scenes", "galvanic-slab"], "say where with --out DIR")
+    own = tmp_path / "own.toml"
+    own.touch()
+    refused(capsys, ["scenes", str(own), *out], f"`perilife run {own}` computes")
     refused(capsys, ["scenes", *out], "--out is of a scene")
     refused(capsys, ["scenes", "galvanic-slab", *out, "--spacing", "1"], "spacing '1'")
     refused(capsys, ["scenes", "galvanic-slab", *out, "--times", "2d", "1d"], "must rise")
