@@ -44,14 +44,14 @@ class ScrewParameters:
 
     def __post_init__(self) -> None:
         _check_types(self)
-        _range("diameter", self.diameter, 1e-4, 0.1)
-        _range("length", self.length, 0.1 * self.diameter, 50 * self.diameter)
+        _range(self, "diameter", 1e-4, 0.1)
+        _range(self, "length", 0.1 * self.diameter, 50 * self.diameter)
         if self.thread not in THREADS:
             raise ValueError(
                 f"thread is {self.thread!r}{did_you_mean(self.thread, THREADS)}: allowed are "
                 f"{', '.join(map(repr, THREADS))}."
             )
-        _range("pitch", self.pitch, self.diameter / 20, self.diameter / 2)
+        _range(self, "pitch", self.diameter / 20, self.diameter / 2)
         angle = math.degrees(self.thread_angle)
         if not 20.0 <= angle <= 120.0:
             raise ValueError(f"thread_angle is {angle:.6g} degrees: allowed are 20 to 120 degrees.")
@@ -59,7 +59,7 @@ class ScrewParameters:
             object.__setattr__(
                 self, "minor_diameter", _micrometre(self.diameter - 1.0825318 * self.pitch)
             )
-        _range("minor_diameter", self.minor_diameter, 0.2 * self.diameter, 0.99 * self.diameter)
+        _range(self, "minor_diameter", 0.2 * self.diameter, 0.99 * self.diameter)
         if self.root_width <= 0.02 * self.pitch:
             allowed = self.diameter - (0.855 * self.pitch) / math.tan(self.thread_angle / 2)
             raise ValueError(
@@ -73,13 +73,13 @@ class ScrewParameters:
         # deeper than a half circle the root would undercut the flank
         deepest = self.minor_diameter - self.root_width
         _range(
+            self,
             "root_diameter",
-            self.root_diameter,
             max(deepest, 0.1 * self.diameter),
             self.minor_diameter,
         )
-        _range("slot_width", self.slot_width, 0.0, 0.8 * self.root_diameter)
-        _range("slot_depth", self.slot_depth, 0.0, 0.8 * self.length)
+        _range(self, "slot_width", 0.0, 0.8 * self.root_diameter)
+        _range(self, "slot_depth", 0.0, 0.8 * self.length)
         if (self.slot_width == 0.0) != (self.slot_depth == 0.0):
             raise ValueError(
                 f"slot_width is {self.slot_width * 1e3:.6g} mm and slot_depth "
@@ -269,8 +269,15 @@ def _check_types(screw: ScrewParameters) -> None:
             raise ValueError(f"{field.name} is {value!r}: allowed is a finite number in SI units.")
 
 
-def _range(name: str, value: float, low: float, high: float) -> None:
+def _range(screw: ScrewParameters, name: str, low: float, high: float) -> None:
+    value = getattr(screw, name)
     if not low * (1 - 1e-12) <= value <= high * (1 + 1e-12):
+        others = ", ".join(
+            f"{other} {getattr(screw, other) * 1e3:.6g} mm"
+            for other in ("diameter", "length", "pitch")
+            if name not in ("diameter", other)
+        )
         raise ValueError(
-            f"{name} is {value * 1e3:.6g} mm: allowed are {low * 1e3:.6g} to {high * 1e3:.6g} mm."
+            f"{name} is {value * 1e3:.6g} mm: allowed are {low * 1e3:.6g} to {high * 1e3:.6g} mm"
+            f"{f' ({others})' if others else ''}."
         )

@@ -95,7 +95,7 @@ def test_plain_pin_has_the_metal_of_the_thread():
         ("thread_angle", 60.0, "allowed are 20 to 120 degrees"),
         ("minor_diameter", 1.0e-3, "the flanks meet above it"),
         ("root_diameter", 1.0e-3, "root_diameter is 1 mm: allowed are 1.46699 to 1.567 mm"),
-        ("slot_width", 1.9e-3, "slot_width is 1.9 mm: allowed are 0 to 1.2072 mm"),
+        ("slot_width", 1.9e-3, "0 to 1.2072 mm (diameter 2 mm, length 4 mm, pitch 0.4 mm)"),
         ("slot_depth", 3.5e-3, "slot_depth is 3.5 mm: allowed are 0 to 3.2 mm"),
         ("slot_depth", 0.0, "both positive, or both 0"),
     ],
