@@ -14,17 +14,25 @@ needs_mpirun = pytest.mark.skipif(shutil.which("mpirun") is None, reason="mpirun
 
 
 def run_on_ranks(ranks: int, module: str, *arguments: object, timeout: float = 300.0) -> None:
-    """`python -m MODULE ARGUMENTS` on so many ranks of one thread each; it must end well."""
+    """`python -m MODULE ARGUMENTS` on so many ranks of one thread each; it must end well.
+
+    The ranks share one core, another one for each process of tests.  Their marches are small, and
+    a rank that waits gives way to the one that it waits for; on cores of their own that are busy
+    with other tests, the wait for a turn would be many times the work.
+    """
     environment = os.environ | {
         "OMP_NUM_THREADS": "1",
         "NUMBA_NUM_THREADS": "1",
         "PYTHONPATH": str(ROOT),
         "OMPI_MCA_mpi_yield_when_idle": "1",
+        "OMPI_MCA_hwloc_base_binding_policy": "none",
     }
+    cores = sorted(os.sched_getaffinity(0))
+    core = cores[int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:]) % len(cores)]
     command = ["mpirun", "--oversubscribe", "-n", str(ranks), sys.executable, "-m", module]
     done = subprocess.run(
         [*command, *map(str, arguments)], cwd=ROOT, env=environment, capture_output=True,
-        text=True, timeout=timeout,
+        text=True, timeout=timeout, preexec_fn=lambda: os.sched_setaffinity(0, {core}),
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-3000:]
 

@@ -95,7 +95,7 @@ def test_slender_bar_bends_to_an_arc():
     np.testing.assert_allclose(moved, arc, atol=2e-3 * length * angle / 2)
 
 
-@pytest.mark.parametrize("element", ["P2", "P2-Fbar"])
+@pytest.mark.parametrize("element", ["P2", pytest.param("P2-Fbar", marks=pytest.mark.slow)])
 def test_fully_plastic_torque(element):
     """(2/3) pi r^3 k with k = s / sqrt(3)."""
     perfect = Material(200e9, 0.3, VoceHardening(100e6))

@@ -28,6 +28,9 @@ from pipeline.stages import corrosion as corrosion_stage
 from tests.pipeline.command_line import COARSE, SCENE, changed, refused
 from tests.pipeline.geometry.solids import coarse_mesh
 
+FEW = [*COARSE, "--spacing", "200um", "--horizon", "400um"]
+"""A lattice of few nodes that the slot allows."""
+
 
 def test_version_and_alloys_are_printed(capsys):
     assert main(["--version"]) == 0
@@ -81,7 +84,7 @@ def test_plan_tells_sizes_time_memory_and_omissions(capsys):
     assert alone["seconds"] == pytest.approx(sum(task["seconds"] for task in alone["tasks"]))
     assert all(task["memory"] > 0 for task in plan["tasks"])
     assert plan["omissions"] and all(item["reason"] for item in plan["omissions"])
-    assert main(["plan", *SCENE]) == 0
+    assert main(["plan", *SCENE, *FEW]) == 0
     assert "What is left out" in capsys.readouterr().out
 
 
@@ -96,7 +99,7 @@ def test_plan_knows_the_size_of_the_mesh_of_the_screw(capsys):
 
 
 def test_plan_names_what_can_be_kept_as_keep_wants_it(capsys):
-    scene = [*SCENE, *COARSE, "--spacing", "200um", "--horizon", "400um"]
+    scene = [*SCENE, *FEW]
     assert main(["plan", *scene, "--json"]) == 0
     named = [item["what"] for item in json.loads(capsys.readouterr().out)["omissions"]]
     of_march = [what.removeprefix("Mg-5Gd: ") for what in named if what.startswith("Mg-5Gd: ")]
@@ -120,8 +123,7 @@ def test_the_law_of_a_bond_is_a_choice(tmp_path, capsys):
     lost = {}
     for law in DISSOLUTION_LAWS:
         out = str(tmp_path / law)
-        scene = [*SCENE, "--spacing", "200um", "--horizon", "400um", "--dissolution", law]
-        scene += ["--radial-margin", "1mm", "--axial-margin", "1mm"]
+        scene = [*SCENE, *FEW, "--dissolution", law]
         assert main(["geometry", *scene, "--out", out, "--quiet"]) == 0
         assert main(["corrode", "--out", out, "--quiet"]) == 0
         folder = RunFolder(Path(out))
@@ -156,7 +158,7 @@ def test_the_law_of_the_rate_is_a_choice(capsys, law, factors):
     assert [found.rate(Exposed(v)) for v in (0.0, 0.1)] == pytest.approx(factors, rel=1e-12)
     rows = provenance.to_be_listed(provenance.parameter_rows(scene))
     assert any(row.value == law for row in rows) == (law is not None)
-    assert main(["plan", *changed(*changes), "--json"]) == 0
+    assert main(["plan", *changed(*FEW, *changes), "--json"]) == 0
     named = [item["what"] for item in json.loads(capsys.readouterr().out)["omissions"]]
     assert ("the published kinetics" in named) == (law is not None)
 
