@@ -142,6 +142,10 @@ def _disk(scene: Scene, solid: Solid, plan: Plan, folder: Path, stages: set[str]
     )
 
 
+_worked: dict[tuple, Check] = {}
+"""What answered in this process, by command and place of imports; it is not asked again."""
+
+
 def try_tools(ranks: int = 1) -> Check:
     """Start a process, or as many ranks, that imports dolfinx and counts the ranks."""
     what = "dolfinx" if ranks == 1 else f"dolfinx on {ranks} ranks"
@@ -150,10 +154,14 @@ def try_tools(ranks: int = 1) -> Check:
         command = command if ranks == 1 else [*machine.mpirun(ranks, f"--np {ranks}"), *command]
     except FileNotFoundError as error:
         return Check(what, "no mpirun", str(error))
+    environment = machine.child_environment(ranks, 1)
+    asked = (*command, environment["PYTHONPATH"])
+    if asked in _worked:
+        return _worked[asked]
     child = children.start(
         command,
         launcher=ranks > 1,
-        env=machine.child_environment(ranks, 1),
+        env=environment,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -183,7 +191,8 @@ def try_tools(ranks: int = 1) -> Check:
             f"mpirun starts {ranks} processes that do not know of one another; mpirun and mpi4py "
             "must be of the same MPI, or --np be left out",
         )
-    return Check(what, answers[0][1])
+    _worked[asked] = Check(what, answers[0][1])
+    return _worked[asked]
 
 
 def print_checks(checks: Iterable[Check]) -> None:
