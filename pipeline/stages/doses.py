@@ -222,8 +222,11 @@ def _kept(
     seen = np.where(seen < 0.0, np.inf, seen).reshape(at.shape[:-1])
     if kept is not None:
         temporary = kept.with_name(f".{kept.name}.{os.getpid()}.npy")
-        np.save(temporary, seen)
-        os.replace(temporary, kept)
+        try:
+            np.save(temporary, seen)
+            os.replace(temporary, kept)
+        finally:
+            temporary.unlink(missing_ok=True)
     return seen
 
 

@@ -70,12 +70,15 @@ def solid_exposure(
     if kept is not None:
         kept.parent.mkdir(parents=True, exist_ok=True)
         temporary = kept.with_name(f".{kept.name}.{os.getpid()}.npz")
-        np.savez(
-            temporary, cell=found.metal.cell, volume=found.metal.volume,
-            exposure=found.metal.exposure, liquid=found.liquid,
-            **{name: _rows(getattr(found.check, name)) for name in _CHECKED},
-        )  # fmt: skip
-        os.replace(temporary, kept)
+        try:
+            np.savez(
+                temporary, cell=found.metal.cell, volume=found.metal.volume,
+                exposure=found.metal.exposure, liquid=found.liquid,
+                **{name: _rows(getattr(found.check, name)) for name in _CHECKED},
+            )  # fmt: skip
+            os.replace(temporary, kept)
+        finally:
+            temporary.unlink(missing_ok=True)
     return found
 
 
