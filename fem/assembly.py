@@ -44,6 +44,7 @@ class Assembler:
     def __init__(self, discretisation: Discretisation, laws: Laws, threads: int) -> None:
         self.discretisation, self.laws = discretisation, laws
         self.alive = np.ones(len(discretisation.cells), bool)
+        self.averaged = np.full(len(self.alive), discretisation.element.mean_dilatation)
         groups = discretisation.groups
         sizes = np.diff(groups.cell_start), np.diff(groups.node_start)
         self._largest = tuple(int(size.max()) if size.size else 1 for size in sizes)
@@ -78,7 +79,7 @@ class Assembler:
         d, g, old, new = self.discretisation, self.discretisation.groups, state.old, state.new
         laws = self.laws
         return (
-            first, last, self._largest, stiffness, d.element.mean_dilatation,
+            first, last, self._largest, stiffness, self.averaged,
             (d.cells, d.owned, self.alive, d.gradients, d.volumes, displacement),
             (g.cell_start, g.node_start, g.nodes, g.place),
             (old.plastic, old.strain, old.damage, state.acting),
@@ -90,7 +91,7 @@ class Assembler:
 
 @kernel
 def _assemble_groups(
-    first, last, largest, stiffness, averaged, mesh, groups, old, new, law, target
+    first, last, largest, stiffness, averages, mesh, groups, old, new, law, target
 ):
     """Groups first..last-1; returns (failed points, stored energy, dissipated energy)."""
     cells, owned, alive, gradients, volumes, displacement = mesh
@@ -111,6 +112,7 @@ def _assemble_groups(
     for g in range(first, last):
         start, stop = cell_start[g], cell_start[g + 1]
         nodes = node_start[g + 1] - node_start[g]
+        averaged = averages[start]
         wrong, mean, volume = _kinematics(start, stop, mesh, deformation, jacobian, spatial)
         if volume == 0.0 or wrong > 0.0:
             failed += wrong

@@ -25,6 +25,11 @@ from fem.solid import Held, Remains, destinations, guide_vertices, remains
 _SOUND = 0.02
 
 
+def is_sound(damage: np.ndarray) -> np.ndarray:
+    """Cells (nc,) whose change of volume F-bar averages, by f (nc, nq)."""
+    return damage.mean(axis=1) < _SOUND
+
+
 @dataclass
 class Prepared:
     """What rank 0 knows of the input."""
@@ -110,7 +115,7 @@ def prepare(
     groups, plan = np.arange(len(kept)), (np.zeros(0), np.zeros(1))
     if len(kept):
         if element.patches:
-            sound = damage[kept].mean(axis=1) < _SOUND
+            sound = is_sound(damage[kept])
             groups = sound_patches(cells[kept], len(points), sound, laws.of_cell[kept])
         plan = destinations(points, cells[kept], groups, ranks)
     damage = np.minimum(damage, limit)

@@ -18,7 +18,7 @@ slotted sections of Mg-5Gd and Mg-10Gd with every hardening record: 8 to 50 incr
 the largest size would do with 5; a waisted bar of two metals, one 1e6 times stiffer, takes 248 of
 P1-Fbar (`tests/extreme/test_tensile_extreme.py`)."""
 
-DAMAGE_UPDATES = ("cell", "point", "implicit")
+DAMAGE_UPDATES = ("point", "cell", "implicit")
 
 
 @dataclass(frozen=True)
@@ -48,9 +48,10 @@ class TensileSettings:
     linear_solver: "auto", or what is tried first (`fem.solvers`): "pmg" (two-level multigrid of the
     ten-node elements, the default for them), "mumps" (factorisation), "gamg" (aggregation).
 
-    damage: how f grows: "cell" (one f per cell, foreseen before each increment), "point" (one per
-    quadrature point, likewise) or "implicit" (per point and within the increment, as published;
-    where corroded metal tears, tests hardly ever get to their peak with it). damage_length [m]: the
+    damage: how f grows: "point" (at each quadrature point, foreseen before each increment), "cell"
+    (one f per cell, likewise: sound metal softens with the corroded metal of its cell) or
+    "implicit" (per point and within the increment, as published; where corroded metal tears, tests
+    hardly ever get to their peak with it). damage_length [m]: the
     growth of f is averaged over it (`fem.damage_length`; only with "cell"); 0 does not average.
     """
 
@@ -66,7 +67,7 @@ class TensileSettings:
     tolerance: float = 1e-5
     maximum_iterations: int = 12
     linear_solver: str = "auto"
-    damage: str = "cell"
+    damage: str = "point"
     damage_length: float = 0.0
     load: str = "axial"
     bending_azimuth: float = 0.0

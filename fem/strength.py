@@ -27,7 +27,7 @@ from fem.loading import MovingGrip
 from fem.march import March
 from fem.newton import INVERTED_PREDICTION, Equilibrium, EquilibriumSolver
 from fem.outcome import TensileResult, peak_of_curve
-from fem.preparation import prepare
+from fem.preparation import is_sound, prepare
 from fem.quadrature import Element, find_element
 from fem.quadrature_state import QuadratureState, grown_by
 from fem.results import Increment, restore
@@ -42,6 +42,7 @@ _FAILURES = 4  # in a row, after which cells are taken as torn or Newton goes on
 _AFTER_REMOVAL = 1 / 64  # of the size: with cells gone there is a jump to settle, whatever it is
 _LAGS = 4.0  # times the lag wanted: what an increment may have; also what is wanted past the peak
 _WELL_PAST = 0.25  # of the drop that ends a test: from there on the peak is known
+_FALLING = 3  # increments since the peak, in a row, after which the peak is passed
 _KNOWN = 1e-3  # of the reaction: what it may be off past the peak (`Equilibrium.unbalanced`)
 
 
@@ -135,6 +136,7 @@ class _Test:
             self.discretisation.original_cells, lambda: prepared.damage[prepared.kept]
         )
         self.state = QuadratureState(damage)
+        self.assembler.averaged &= is_sound(damage)
         self.limit = self.laws.per_cell(LIMIT)
         self.load = summary["load"]
         self.fixed, moved = self._fixed_unknowns()
@@ -220,6 +222,9 @@ class _Test:
                 observer(Increment(self, march))
             parted = removed and self._parted()
             ended = self._ended(march, outcome.reaction)
+        if status.startswith("stopped") and self._fell(march):
+            log.info("the peak is passed: %s", status)
+            ended = True
         if ended or parted:
             status = "past_peak"
         if parted:
@@ -235,6 +240,12 @@ class _Test:
         """Whether the test is over at a reaction so far below its peak."""
         s = self.settings
         return not s.full_curve and reaction < (1.0 - s.peak_drop) * march.peak
+
+    def _fell(self, march: March) -> bool:
+        """Whether the reaction has done nothing but fall since the peak, for some increments."""
+        reaction = np.array([row[self.load.reaction] for row in march.rows])
+        since = np.diff(reaction[reaction.argmax() :])
+        return not self.settings.full_curve and since.size >= _FALLING and bool((since < 0).all())
 
     def _known(self, march: March, outcome: Equilibrium) -> bool:
         """Whether a reaction past the peak is known without equilibrium: only the drop is asked."""

@@ -9,7 +9,7 @@ from pipeline.scene.loads import LOADS
 from pipeline.scene.units import format_length
 
 LATERAL = ("free", "clamped")
-DAMAGE_UPDATES = ("cell", "point", "implicit")
+DAMAGE_UPDATES = ("point", "cell", "implicit")
 """How f grows; named as in fem.settings, which is slow to import."""
 AUTO, NODES, EXPOSURES = "auto", "nodes", "exposures"
 MAPPINGS = (AUTO, NODES, EXPOSURES)
@@ -71,14 +71,14 @@ class TensileScene:
     where that can be had.
     """
 
-    element: str = "P2"
+    element: str = "P2-Fbar"
     final_strain: float = 0.10
     increment: float = 0.005
     bottom_grip: float = 0.0
     top_grip: float = 0.0
     lateral: str = "free"
     peak_drop: float = 0.05
-    damage: str = "cell"
+    damage: str = "point"
     damage_length: float = 0.0
     mapping: str = AUTO
     load: str = "axial"
@@ -105,15 +105,15 @@ class TensileScene:
         one_of("damage", self.damage, DAMAGE_UPDATES)
         one_of("mapping", self.mapping, MAPPINGS)
         check(0 < self.peak_drop <= 1, "peak drop", self.peak_drop, "in (0, 1]")
+        for name in ("bottom_grip", "top_grip", "damage_length"):
+            value = getattr(self, name)
+            check(math.isfinite(value) and value >= 0, name.replace("_", " "), value, "at least 0")
         check(
             self.damage_length == 0 or self.damage == "cell",
             "damage",
             self.damage,
             "cell where a damage length is given",
         )
-        for name in ("bottom_grip", "top_grip", "damage_length"):
-            value = getattr(self, name)
-            check(math.isfinite(value) and value >= 0, name.replace("_", " "), value, "at least 0")
         check(0 < self.final_strain <= 1, "final strain", self.final_strain, "in (0, 1]")
         check(
             0 < self.increment and at_most(self.increment, self.final_strain),

@@ -175,6 +175,7 @@ def _holds(
             else preset.increment,
             "lateral": "free" if load == "axial" else "clamped",
             "bending_azimuth": 0.0 if load == "bending" else None,
+            "damage": "cell" if tensile.get("damage_length") else "point",
         }
         depths = {"bottom_grip": bottom, "top_grip": top}
         layer = faces_size

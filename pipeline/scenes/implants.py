@@ -193,7 +193,7 @@ def strengths(made: Joint, pull: Pull, results: Sequence[GalvanicResult]) -> lis
         alloy.yield_stress.si, alloy.ultimate_tensile_strength.si, alloy.uniform_strain.si
     )
     material = Material(alloy.young_modulus.si, alloy.poisson_ratio.si, hardening, alloy.q1.si)
-    settings = TensileSettings("P2", peak_drop=0.05, grips=Grips(pull.grip, pull.grip))
+    settings = TensileSettings("P2-Fbar", peak_drop=0.05, grips=Grips(pull.grip, pull.grip))
     damages = [np.zeros(len(mesh.cells))]
     for result in results:
         whole, _, _ = conserving_map(

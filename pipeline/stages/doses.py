@@ -11,7 +11,6 @@ gives only what varies slowly.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -137,18 +136,28 @@ def skin_exposure(
     """Lambda (nc, np) at the `skin_points` of a solid's mesh, as deep below the surface itself.
 
     The mesh has the solid's volume place by place, but its facets lie within and outside of the
-    surface by turns: the points below a facet are moved with it onto the surface.  folder: where it
-    is kept, by the hash of all it depends on.
+    surface by turns: the points below a facet are moved with it onto the surface; infinite outside
+    all the same.  folder: where it is kept, by the hash of all it depends on.
     """
-
-    def moved() -> Array:
-        corners, face, barycentric, _ = _skin(points, cells, halvings)
-        at = np.einsum("pqa,pad->pqd", barycentric, corners)
-        skin = np.flatnonzero(face < 4)
-        at[skin] += _onto_surface(corners[skin], face[skin], barycentric[skin], solid)
-        return at.reshape(len(cells), -1, 3)
-
-    return _kept(moved, (points, cells, halvings), solid, kernel, folder)
+    surface = Surface(solid.points, solid.triangles)
+    mark = fingerprint(surface.vertices, surface.facets, points, cells, halvings, *kernel)
+    kept = None if folder is None else folder / f"seen-{mark[:16]}.npy"
+    if kept is not None and kept.exists():
+        return np.load(kept)
+    corners, face, barycentric, _ = _skin(points, cells, halvings)
+    at = np.einsum("pqa,pad->pqd", barycentric, corners)
+    skin = np.flatnonzero(face < 4)
+    at[skin] += _onto_surface(corners[skin], face[skin], barycentric[skin], solid)
+    seen = exposure(at.reshape(-1, 3), surface, *kernel)
+    seen = np.where(seen < 0.0, np.inf, seen).reshape(len(cells), -1)
+    if kept is not None:
+        temporary = kept.with_name(f".{kept.name}.{os.getpid()}.npy")
+        try:
+            np.save(temporary, seen)
+            os.replace(temporary, kept)
+        finally:
+            temporary.unlink(missing_ok=True)
+    return seen
 
 
 def _skin(points: Array, cells: NDArray[np.int64], halvings: int) -> tuple[Array, ...]:
@@ -198,36 +207,6 @@ def part_means(values: Array, weights: Array) -> Array:
     """Means (nc, 8) over the parts of cells of values (nc, 32) at their `skin_points`."""
     shape = (len(values), _PARTS, -1)
     return np.average(values.reshape(shape), axis=2, weights=weights.reshape(shape))
-
-
-def exposure_at(points: Array, solid: Solid, kernel: Kernel, folder: Path | None = None) -> Array:
-    """Lambda at points (..., 3) m of a mesh; infinite outside the solid, 0 beyond the horizon.
-
-    folder: where it is kept, by the hash of all it depends on.
-    """
-    return _kept(lambda: points, (points,), solid, kernel, folder)
-
-
-def _kept(
-    points: Callable[[], Array], of: tuple, solid: Solid, kernel: Kernel, folder: Path | None
-) -> Array:
-    """Lambda at points, which `of` decides, from the folder or computed and kept there."""
-    surface = Surface(solid.points, solid.triangles)
-    mark = fingerprint(surface.vertices, surface.facets, *of, *kernel)
-    kept = None if folder is None else folder / f"seen-{mark[:16]}.npy"
-    if kept is not None and kept.exists():
-        return np.load(kept)
-    at = points()
-    seen = exposure(at.reshape(-1, 3), surface, *kernel)
-    seen = np.where(seen < 0.0, np.inf, seen).reshape(at.shape[:-1])
-    if kept is not None:
-        temporary = kept.with_name(f".{kept.name}.{os.getpid()}.npy")
-        try:
-            np.save(temporary, seen)
-            os.replace(temporary, kept)
-        finally:
-            temporary.unlink(missing_ok=True)
-    return seen
 
 
 def kernel_of(scene: Scene) -> Kernel:

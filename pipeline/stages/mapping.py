@@ -7,7 +7,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from fem.quadrature import find_element, quadrature_points, sampling_points
+from fem.quadrature import find_element, sampling_points
 from peri.corrosion.results import read_corrosion
 from pipeline.geometry.mesh import read_mesh
 from pipeline.geometry.surface import Solid
@@ -27,7 +27,6 @@ from pipeline.stages.doses import (
     DOSES_FILE,
     Kernel,
     damage_by_dose,
-    exposure_at,
     kernel_of,
     part_means,
     skin_exposure,
@@ -35,6 +34,8 @@ from pipeline.stages.doses import (
 )
 from pipeline.stages.geometry import SURFACE_FILE, read_surface
 
+_SLOPE = 4.0 * np.sqrt(5.0)
+"""Of the four quadrature points: f_q = mean + _SLOPE (first moment of f with its coordinate q)."""
 DAMAGE_FILE = "damage.h5"
 SCHEMA_VERSION = 1
 BLIND_METAL = "metal that saw no liquid at first has lost more than a thousandth of what is lost"
@@ -72,15 +73,18 @@ class Lost:
 
 @dataclass(frozen=True)
 class Mapped:
-    """Damage of the mesh, not cut off: at points of each cell, with their volumes (nc, nq), m^3.
+    """Damage of the mesh, not cut off: at points of each cell, with their volumes (nc, np), m^3.
 
-    exponent: with what it was scaled; lost: the volumes lost before that (damage_map.conserved).
+    exponent: with what it was scaled; lost: the volumes lost before that (damage_map.conserved);
+    at: (nc, np, 3) the points, m, of cells with the corners (nc, 4, 3).
     """
 
     damage: np.ndarray
     weights: np.ndarray
     exponent: float
     lost: dict[str, float]
+    at: np.ndarray
+    corners: np.ndarray
 
     def cut_off(self, maximum: float) -> np.ndarray:
         """f0 (nc, nq), at most `maximum`."""
@@ -90,44 +94,69 @@ class Mapped:
         """Means (nc, 1) of f0 over each cell."""
         return np.average(self.cut_off(maximum), 1, self.weights)[:, None]
 
+    def at_points(self, maximum: float, count: int) -> np.ndarray:
+        """f0 (nc, count) of each cell's quadrature points, one or four.
+
+        Of four points: the linear field in the cell that has the mean and the first moments of f0,
+        so that it carries what f0 does under a strain that is linear there; where that is below 0
+        or above `maximum` at a point, it is cut off and the other points make up for the mean.
+        """
+        mean = self.cell_means(maximum)
+        if count == 1:
+            return mean
+        middle = self.corners.mean(axis=1)
+        share = self.cut_off(maximum) * self.weights / self.weights.sum(axis=1, keepdims=True)
+        moment = np.einsum("cp,cpd->cd", share, self.at) - mean * middle
+        # of the barycentric coordinates, along which the linear field rises
+        edges = np.swapaxes(self.corners[:, 1:] - self.corners[:, :1], 1, 2)
+        along = np.linalg.solve(edges, moment[..., None])[..., 0]
+        along = np.concatenate([-along.sum(axis=1, keepdims=True), along], axis=1)
+        found = np.clip(mean + _SLOPE * along, 0.0, maximum)
+        now = found.mean(axis=1, keepdims=True)
+        room = maximum - now
+        down = np.divide(mean, now, out=np.ones_like(now), where=now > 0)
+        up = np.divide(maximum - mean, room, out=np.ones_like(now), where=room > 0)
+        return np.where(now > mean, found * down, maximum - (maximum - found) * up)
+
 
 def map_lost(
     points: np.ndarray,
     cells: np.ndarray,
     lost: Lost,
-    element: str,
-    halvings: int | None = 1,
+    halvings: int = 1,
     folder: Path | None = None,
 ) -> Mapped:
     """The damage of a mesh that loses what the lattice has lost.
 
     points (n, 3) m, cells (nc, 4): of the intact solid.  halvings: how often the edges of a cell
-    are halved for the points that its mean is taken of; None: the element's quadrature points.
+    are halved for the points that means are taken of, at least once: the field varies within a
+    cell, and its quadrature points alone miss up to a tenth of the loss (pipeline/MEASURED.md).
     folder: where what the points see is kept.
     """
     seen = lost.seen
-    if halvings is None:
-        at, weights = quadrature_points(points, cells, element)
-    elif seen is None:  # the field varies within a cell; one point in it misses a tenth of the loss
+    if seen is None:
         at, weights = sampling_points(points, cells, halvings)
     else:
         at, weights = skin_points(points, cells, halvings)
     place = (lost.origin, lost.spacing)
     field = (lost.concentration, lost.metal, lost.solid_concentration)
     if seen is None:
-        return _mapped(weights, conserving_map(at, weights, *place, *field, lost.capacity))
-    if halvings is None:
-        exposure = exposure_at(at, seen.solid, seen.kernel, folder)
-    else:
-        exposure = skin_exposure(points, cells, seen.solid, seen.kernel, folder, halvings)
+        found = conserving_map(at, weights, *place, *field, lost.capacity)
+        return _mapped(weights, found, at, points[cells])
+    exposure = skin_exposure(points, cells, seen.solid, seen.kernel, folder, halvings)
     damage = damage_by_dose(at, exposure, *place, seen.dose)
     gone = lost_volume_on_lattice(*field, lost.capacity * np.prod(lost.spacing))
-    return _mapped(weights, conserved(damage, weights, gone))
+    return _mapped(weights, conserved(damage, weights, gone), at, points[cells])
 
 
-def _mapped(weights: np.ndarray, found: tuple[np.ndarray, float, dict[str, float]]) -> Mapped:
+def _mapped(
+    weights: np.ndarray,
+    found: tuple[np.ndarray, float, dict[str, float]],
+    at: np.ndarray,
+    corners: np.ndarray,
+) -> Mapped:
     damage, exponent, lost = found
-    return Mapped(damage, weights, exponent, lost)
+    return Mapped(damage, weights, exponent, lost, at, corners)
 
 
 def map_in_folder(
@@ -152,7 +181,7 @@ def map_in_folder(
     maximum = 1.0 / scene.alloy(alloy).material.q1
     solid = float(fields["solid_concentration"])
     mapping, because = _chosen(scene, moment, hold, corrosion)
-    one_per_cell = hold.tensile.damage == "cell"
+    points = points_of(hold.tensile.element, hold.tensile.damage)
     seen = None
     if mapping == EXPOSURES:
         surface = read_surface(geometry if (geometry / SURFACE_FILE).exists() else geometry.parent)
@@ -162,8 +191,7 @@ def map_in_folder(
         fields["lattice/origin"], fields["lattice/spacing"], fields["concentration"][number],
         fields["metal"], fields["capacity"], solid, seen,
     )  # fmt: skip
-    halvings = 1 if one_per_cell else None
-    mapped = map_lost(mesh.points, mesh.cells, lattice, hold.tensile.element, halvings, geometry)
+    mapped = map_lost(mesh.points, mesh.cells, lattice, folder=geometry)
     weights, damage = mapped.weights, mapped.cut_off(maximum)
     volume = float(weights.sum())
     numbers = {
@@ -176,12 +204,9 @@ def map_in_folder(
         **mapped.lost,
         "mapped_lost_volume": lost_volume_on_mesh(mapped.damage, weights),
     }
-    parts = None
-    if one_per_cell:
-        damage = mapped.cell_means(maximum)
-        parts = part_means(mapped.damage, weights) if mapping == EXPOSURES else None
-    path = out / DAMAGE_FILE
-    write_damage(path, damage, moment, hold.tensile.element, mapped.exponent, mapping, parts)
+    parts = part_means(mapped.damage, weights) if mapping == EXPOSURES else None
+    path, f0 = out / DAMAGE_FILE, mapped.at_points(maximum, points)
+    write_damage(path, f0, moment, hold.tensile.element, mapped.exponent, mapping, parts)
     return [path], numbers
 
 
@@ -205,11 +230,16 @@ def map_intact(moment: ImmersionTime, hold: HoldScene, geometry: Path, out: Path
     geometry: folder with the mesh of this way of holding.  It is what `map_in_folder` writes of
     time zero, which needs no march (tests/end_to_end/test_coarse_run.py).
     """
-    one_per_cell = hold.tensile.damage == "cell"
-    count = 1 if one_per_cell else find_element(hold.tensile.element).points
     out.mkdir(parents=True, exist_ok=True)
-    damage = np.zeros((len(read_mesh(geometry).cells), count))
+    damage = np.zeros(
+        (len(read_mesh(geometry).cells), points_of(hold.tensile.element, hold.tensile.damage))
+    )
     write_damage(out / DAMAGE_FILE, damage, moment, hold.tensile.element, 0.0, NODES)
+
+
+def points_of(element: str, damage: str) -> int:
+    """How many f0 a cell has: one where f is one per cell, else one per quadrature point."""
+    return 1 if damage == "cell" else find_element(element).points
 
 
 def _net_section_left(

@@ -2,9 +2,10 @@
 
 The strength left (peak force over that of the intact screw) of one alloy after one immersion time,
 with the quick preset on a lattice of half the horizon and with each factor refined alone: lattice,
-time step, mapping (samples of a cell for its mean damage), mesh, element, increment.  A factor's
-error is the change to its finest level, with what is left of that level by the order of the factor
-added; the errors of the factors add up, which bounds the sum where they do not cancel.
+time step, mapping (one f per cell or per quadrature point, samples of a cell for them), mesh,
+element, increment.  A factor's error is the change to its finest level, with what is left of that
+level by the order of the factor added; the errors of the factors add up, which bounds the sum where
+they do not cancel.
 """
 
 from __future__ import annotations
@@ -22,12 +23,12 @@ TITLE = "Where the error of the strength left comes from"
 WANTED_ERRORS = (0.10, 0.03, 0.01)
 LATTICES = (100e-6, 200e-6 / 3, 50e-6)
 RATE_CHANGES = (0.4, 0.1)
-SAMPLES = (None, 1, 2)
+GROWTHS = (("cell", 1), ("point", 1), ("point", 2))
 INCREMENT_SHARES = (1.0, 0.5, 0.25)  # of the preset's
 MESHES = (
-    ("P1-Fbar", 0.3e-3, 0.2e-3), ("P1-Fbar", 0.2e-3, 0.12e-3),
-    ("P2", 0.4e-3, 0.3e-3), ("P2", 0.3e-3, 0.2e-3), ("P2", 0.2e-3, 0.12e-3),
-    ("P2", 0.12e-3, 0.08e-3),
+    ("P1-Fbar", 0.2e-3, 0.12e-3), ("P2", 0.3e-3, 0.2e-3),
+    ("P2-Fbar", 0.4e-3, 0.3e-3), ("P2-Fbar", 0.3e-3, 0.2e-3), ("P2-Fbar", 0.2e-3, 0.12e-3),
+    ("P2-Fbar", 0.16e-3, 0.1e-3),
 )  # fmt: skip
 ORDERS = {
     "lattice": (2.0, LATTICES[-2] / LATTICES[-1]),  # with rate classes (study corrosion)
@@ -164,8 +165,8 @@ def study_life_cycle(
 
 
 def _mesh_levels(entries: Sequence[tuple[str, float, float, str]]) -> list[Level]:
-    """Each mesh against the finest of P2, whose rest is its change from the P2 mesh before it."""
-    second = [e for e in entries if e[0].startswith("P2")]
+    """Each mesh against the finest, whose rest is its change from the mesh before it."""
+    second = [e for e in entries if e[0].startswith(MESHES[-1][0])]
     return [factor_levels("mesh and element", [entry, *second[-2:]], None)[0] for entry in entries]
 
 
@@ -192,8 +193,13 @@ def _variants(base: Pull) -> list[tuple[str, str, Pull]]:
         ("time step", f"rate change {c:g}", replace(base, field=_march_name(LATTICES[0], c)))
         for c in RATE_CHANGES
     ]
-    words = {None: "at the quadrature points", 1: "mean of 32 points", 2: "mean of 256 points"}
-    found += [("mapping", words[n], replace(base, samples=n)) for n in SAMPLES]
+    found += [
+        (
+            "mapping", f"one f per {damage}, {4 * 8**n} samples",
+            replace(base, damage=damage, samples=n),
+        )
+        for damage, n in GROWTHS
+    ]  # fmt: skip
     for element, size, fine in MESHES:
         pull = replace(base, element=element, mesh_size=size, mesh_size_fine=fine)
         found.append(("mesh and element", f"{element} {1e3 * size:g}/{1e3 * fine:g} mm", pull))
@@ -207,7 +213,7 @@ def _content(pull: Pull) -> tuple:
     """What decides the result of a pull; the intact screw is the same for every march."""
     intact = pull.immersion == "0w"
     plain = replace(pull, field=_march_name(LATTICES[0], RATE_CHANGES[0])) if intact else pull
-    plain = replace(plain, samples=1) if intact else plain
+    plain = replace(plain, samples=Pull.samples, damage=Pull.damage) if intact else plain
     return (plain.immersion, *plain.setting())
 
 

@@ -1,9 +1,9 @@
 """Error against run time of the tensile stage: what each numerical choice costs and buys.
 
 Every pull is that of a `quick` run (its lattice, its map, its increments) with one choice changed:
-meshes of three elements, and meshes of about the size of `quick`, which tell scatter from trend; on
+meshes of four elements, and meshes of about the size of `quick`, which tell scatter from trend; on
 one mesh the increments; with `long` the length that the grips hold, tolerance and growth of f,
-too.  The reference of a strength left is the limit of the P2 meshes (`limit_of`); how far that
+too.  The reference of a strength left is the limit of the run's element (`limit_of`); how far that
 limit lies from the finest mesh is its uncertainty, and part of every error of a ratio.
 """
 
@@ -23,11 +23,13 @@ MIDDLE, FINE, FINER, FINEST = (
     (0.22e-3, 0.14e-3), (0.2e-3, 0.12e-3), (0.16e-3, 0.1e-3), (0.12e-3, 0.08e-3)
 )  # fmt: skip
 MESHES = {
+    "P2-Fbar": (COARSE, QUICK, FINE, FINER),
     "P2": (COARSE, QUICK, FINE, FINER, FINEST),
     "P1-Fbar": (COARSE, QUICK, FINE, FINEST),
     "P1": (QUICK,),
 }
 LONG_MESHES = {
+    "P2-Fbar": (COARSEST, COARSE, QUICK, MIDDLE, FINE, FINER, FINEST),
     "P2": (COARSEST, COARSE, QUICK, MIDDLE, FINE, FINER, FINEST),
     "P1-Fbar": (COARSE, QUICK, FINE, FINER, FINEST),
     "P1": (COARSE, QUICK, FINE, FINER, FINEST),
@@ -42,9 +44,11 @@ INCREMENTS = (0.02, 0.01)
 LONG_INCREMENTS = (0.02, 0.01, 0.005, 0.0025, 0.00125)
 TOLERANCES = (1e-3, 1e-5, 1e-7)
 GRIPS = (0.0, 0.5e-3, None, 0.9e-3)
-MESH_CURVES = ("P1", "P1-Fbar", "P2")
-SCATTER_CURVE = "scatter (P2)"
-INCREMENT_CURVE, TOLERANCE_CURVE = "increment (P2)", "tolerance (P1-Fbar)"
+REFERENCE = "P2-Fbar"
+"""The element of a run, whose limit is the reference."""
+MESH_CURVES = ("P1", "P1-Fbar", "P2", REFERENCE)
+SCATTER_CURVE = f"scatter ({REFERENCE})"
+INCREMENT_CURVE, TOLERANCE_CURVE = f"increment ({REFERENCE})", "tolerance (P1-Fbar)"
 DAMAGE_CURVE, GRIP_CURVE = "growth of f", "grips"
 
 
@@ -75,8 +79,8 @@ def plan_pulls(alloys: Sequence[str], immersion: Sequence[str], long: bool = Fal
             for size in reversed(sizes):
                 pulls += [_pull(element, alloy, t, element, size) for t in times]
         for size in NEARBY:
-            pulls += [_pull(SCATTER_CURVE, alloy, t, "P2", size) for t in times]
-        base = [_pull("", alloy, t, "P2", QUICK) for t in times]
+            pulls += [_pull(SCATTER_CURVE, alloy, t, REFERENCE, size) for t in times]
+        base = [_pull("", alloy, t, REFERENCE, QUICK) for t in times]
         for x in LONG_INCREMENTS if long else INCREMENTS:
             change = {"curve": INCREMENT_CURVE, "choice": f"{100 * x:g} %", "increment": x}
             pulls += [replace(p, **change) for p in base]
@@ -95,13 +99,13 @@ def _long_pulls(alloy: str, times: Sequence[str]) -> list[Pull]:
     ]
     for grip in GRIPS:
         text = "as in a run" if grip is None else f"{1e3 * grip:g} mm"
-        base = [_pull(GRIP_CURVE, alloy, t, "P2", QUICK) for t in times]
+        base = [_pull(GRIP_CURVE, alloy, t, REFERENCE, QUICK) for t in times]
         pulls += [replace(p, choice=text, grip=grip) for p in base]
     for t in times[1:]:
-        p = _pull(DAMAGE_CURVE, alloy, t, "P2", COARSE)
+        p = _pull(DAMAGE_CURVE, alloy, t, REFERENCE, COARSE)
         pulls += [
-            replace(p, choice="P2, cell"),
-            replace(p, choice="P2, point", damage="point", samples=None),
+            replace(p, choice=f"{REFERENCE}, point"),
+            replace(p, choice=f"{REFERENCE}, cell", damage="cell"),
         ]
         p = _pull(DAMAGE_CURVE, alloy, t, "P1-Fbar", QUICK)
         pulls.append(replace(p, choice="P1-Fbar, implicit", damage="implicit"))
@@ -164,7 +168,7 @@ def _placed(pulls: Sequence[Pull], found: dict[tuple, Row]) -> list[Row]:
 def _expected_work(pull: Pull) -> float:
     """Grows with the seconds of a pull; only the order counts."""
     size = 0.5 * (pull.mesh_size + pull.mesh_size_fine)
-    return (12.0 if pull.element == "P2" else 1.0) * size**-4 / pull.increment
+    return (12.0 if pull.element.startswith("P2") else 1.0) * size**-4 / pull.increment
 
 
 def describe(row: Row) -> str:
@@ -222,7 +226,7 @@ class Errors:
         self.ratio: dict[str, tuple[float, float]] = {}
         for t in self.times:
             curve = sorted(
-                (r for r in self.rows if r.curve == "P2" and r.immersion == t and _ended(r)),
+                (r for r in self.rows if r.curve == REFERENCE and r.immersion == t and _ended(r)),
                 key=lambda r: r.cells,
             )
             sizes = [edge(r) for r in curve]
@@ -235,7 +239,7 @@ class Errors:
 
         Nothing is corroded in the intact screw: the growth of f does not matter to it.
         """
-        plain = replace(row, damage="cell", damage_length=0.0, samples=1)
+        plain = replace(row, damage=Pull.damage, damage_length=0.0, samples=Pull.samples)
         intact = self.intact.get(row.setting()) or self.intact.get(plain.setting())
         return row.peak_force / intact if intact else float("nan")
 
@@ -260,7 +264,7 @@ class Errors:
         sizes = [r.mesh_size for r in near]
         like = [
             r
-            for r in self.curve("P2", immersion)
+            for r in self.curve(REFERENCE, immersion)
             if sizes and min(sizes) < r.mesh_size < max(sizes)
         ]
         ratios = [self.ratio_of(r) for r in (*near, *like)]

@@ -41,11 +41,11 @@ class Pull:
     """One tensile test of the reference screw: what is pulled, and how (SI).
 
     curve, choice: line of the plot and point on it; field: name of the corrosion field, empty for
-    that of the quick lattice; samples: how often the edges of a cell are halved for the mean of f0
-    over it (fem.quadrature.sampling_points; 1 in a run), None: f0 at the quadrature points; grip:
-    length held at either end, 0: the end faces, None: the shank, as in a run (scene.holding);
-    ends: edge length at both end faces, None: as elsewhere; peak_drop: fall of the force below its
-    peak, relative, that ends the test, None: as in a run.
+    that of the quick lattice; samples: how often the edges of a cell are halved for the means of f0
+    in it (pipeline.stages.mapping; 1 in a run); grip: length held at either end, 0: the end faces,
+    None: the shank, as in a run (scene.holding); ends: edge length at both end faces, None: as
+    elsewhere; peak_drop: fall of the force below its peak, relative, that ends the test, None: as
+    in a run.
     """
 
     curve: str
@@ -57,10 +57,10 @@ class Pull:
     mesh_size_fine: float
     increment: float
     tolerance: float = 1e-5
-    damage: str = "cell"
+    damage: str = "point"
     damage_length: float = 0.0
     field: str = ""
-    samples: int | None = 1
+    samples: int = 1
     grip: float | None = None
     ends: float | None = None
     peak_drop: float | None = None
@@ -311,7 +311,7 @@ def _warm_up() -> None:
     points = np.array([[*xy, z] for z in (0, 1) for xy in triangle], float) * 1e-3  # a prism
     cells = np.array([[0, 1, 2, 3], [1, 2, 3, 4], [2, 3, 4, 5]])
     material = Material(43e9, 0.3, fit_voce(130e6, 220e6, 0.19))
-    for element in ("P1-Fbar", "P2"):
+    for element in ("P1-Fbar", "P2", "P2-Fbar"):
         settings = TensileSettings(element, maximum_strain=0.01, threads=1)
         result = tensile_test(points, cells, 0.0, material, settings)
         if result.status != "completed":  # then nothing was compiled
@@ -376,13 +376,13 @@ def pull_once(folder: Path, pull: Pull, limit: float = LIMIT_SECONDS) -> Row:
 
 
 def mapped_damage(points, cells, pull: Pull, field, maximum: float, folder: Path) -> np.ndarray:
-    """f0 of a pull: (nc, nq) at the quadrature points, or (nc, 1) averaged over each cell.
+    """f0 of a pull: (nc, nq) of the quadrature points, or (nc, 1) of each cell.
 
     By exposures where the field has doses, as in a run.  folder: where the surface is, and where
     what the points see is kept.
     """
     from pipeline.stages.geometry import read_surface
-    from pipeline.stages.mapping import Lost, Seen, map_lost
+    from pipeline.stages.mapping import Lost, Seen, map_lost, points_of
 
     seen = None
     if "dose" in field:
@@ -392,8 +392,8 @@ def mapped_damage(points, cells, pull: Pull, field, maximum: float, folder: Path
         field["origin"], field["spacing"], field["concentration"], field["metal"],
         field["capacity"], field["solid"], seen,
     )  # fmt: skip
-    mapped = map_lost(points, cells, lost, pull.element, pull.samples, folder)
-    return mapped.cut_off(maximum) if pull.samples is None else mapped.cell_means(maximum)
+    mapped = map_lost(points, cells, lost, pull.samples, folder)
+    return mapped.at_points(maximum, points_of(pull.element, pull.damage))
 
 
 def weeks(label: str) -> float:

@@ -43,7 +43,7 @@ def test_softening_of_a_bar_with_a_weak_layer():
     """The weaker layer tears later, and less abruptly, when f grows over a length."""
     points, cells = box((1, 1, 8), (0.5e-3, 0.5e-3, 2e-3))
     weak = abs(points[cells, 2].mean(axis=1) - 1e-3) < 0.26e-3
-    settings = {"element": "P1", "maximum_strain": 0.08, "full_curve": True}
+    settings = {"element": "P1", "maximum_strain": 0.08, "full_curve": True, "damage": "cell"}
     results = [
         tensile_test(
             points, cells, np.where(weak, 0.3, 0.25), MAGNESIUM,
@@ -61,4 +61,4 @@ def test_refuses_a_length_without_one_f_per_cell():
     with pytest.raises(ValueError, match="only allowed with 'cell'"):
         TensileSettings(damage="point", damage_length=1e-4)
     with pytest.raises(ValueError, match="damage_length is -1"):
-        TensileSettings(damage_length=-1.0)
+        TensileSettings(damage="cell", damage_length=-1.0)

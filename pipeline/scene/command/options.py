@@ -236,7 +236,7 @@ def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -
     tensile.add_argument(
         "--mesh-size-faces", metavar="LENGTH", help="at end faces that are pulled (50um)"
     )
-    tensile.add_argument("--element", metavar="E", help=f"{', '.join(ELEMENTS)} (P2)")
+    tensile.add_argument("--element", metavar="E", help=f"{', '.join(ELEMENTS)} (P2-Fbar)")
     tensile.add_argument(
         "--hold",
         nargs="+",
@@ -271,7 +271,7 @@ def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -
     tensile.add_argument(
         "--damage",
         metavar="D",
-        help=f"how f grows: {', '.join(DAMAGE_UPDATES)} (one f per cell; implicit: as published)",
+        help=f"how f grows: {', '.join(DAMAGE_UPDATES)} (one f per point; implicit: as published)",
     )
     tensile.add_argument(
         "--mapping",

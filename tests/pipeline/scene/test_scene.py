@@ -297,7 +297,7 @@ def test_the_ways_in_which_f_grows_are_those_of_fem():
 @pytest.mark.parametrize(
     ("fields", "sentence"),
     [
-        ({"damage": "nodal"}, "damage is 'nodal'; it must be one of cell, point, implicit"),
+        ({"damage": "nodal"}, "damage is 'nodal'; it must be one of point, cell, implicit"),
         ({"damage_length": -1e-4}, "damage length is -0.0001; it must be at least 0"),
         ({"damage_length": float("nan")}, "damage length is nan; it must be at least 0"),
         (
@@ -329,6 +329,7 @@ def test_the_growth_of_f_comes_from_the_command_line():
     words = "--alloy Mg-5Gd --immersion 8w --damage-length 100um --damage".split()
     tensile = scene_from_options(parser.parse_args([*words, "cell"])).tensile
     assert (tensile.damage, tensile.damage_length) == ("cell", pytest.approx(1e-4))
+    assert scene_from_options(parser.parse_args(words[:-1])).tensile.damage == "cell"
     with pytest.raises(SceneError, match="damage is implicit; it must be cell"):
         scene_from_options(parser.parse_args([*words, "implicit"]))
 
@@ -350,7 +351,7 @@ def test_each_way_of_holding_has_its_grips_and_its_mesh():
     assert grips["faces"] == (0.0, 0.0)
     # cells at pulled faces: 50 um with every preset, as wide as asked for; four nodes
     assert [h.mesh.size_ends for h in scene.holds] == [(None, None)] * 2 + [(5e-5, 5e-5)]
-    assert [h.tensile.element for h in scene.holds] == ["P2", "P2", "P1"]
+    assert [h.tensile.element for h in scene.holds] == ["P2-Fbar", "P2-Fbar", "P1"]
     assert list(scene.meshes()) == ["", "faces"]
     assert [scene.mesh_folder(h) for h in scene.holds] == ["", "", "faces"]
     assert set(grips) < set(HOLDINGS)

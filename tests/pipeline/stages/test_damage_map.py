@@ -21,12 +21,44 @@ from pipeline.stages.damage_map import (
     net_section,
     scaled_damage,
 )
+from pipeline.stages.doses import skin_points
+from pipeline.stages.mapping import Mapped
 from tests.pipeline.geometry.solids import BODIES, body, coarse_mesh, fine_mesh, reference_screw
 
 SOLID = 66082.4
 ORIGIN = np.array([-1.0e-3, 0.5e-3, 0.2e-3])
 SPACING = np.array([0.1e-3, 0.2e-3, 0.15e-3])
 SHAPE = (9, 8, 10)
+
+
+@pytest.mark.parametrize("sampled", [sampling_points, skin_points])
+def test_quadrature_points_have_the_mean_and_the_moments_of_a_cell(sampled):
+    corners = np.array([(0.1, 0.0, 0.2), (1.3, 0.1, 0.0), (0.2, 0.9, 0.1), (0.3, 0.4, 1.7)])
+    cell = np.array([(0, 1, 2, 3)])
+    at, weights = sampled(corners, cell)
+    points, volumes = quadrature_points(corners, cell, "P2")
+
+    def mapped(damage):
+        return Mapped(damage, weights, 1.0, {}, at, corners[cell])
+
+    def linear(x):
+        return 0.3 + 0.1 * x[..., 0] - 0.2 * x[..., 1] + 0.05 * x[..., 2]
+
+    assert mapped(linear(at)).at_points(1.0, 4) == pytest.approx(linear(points), abs=1e-7)
+    rng = np.random.default_rng(3)
+    rough = rng.uniform(0.2, 0.8, weights.shape)
+    found = mapped(rough).at_points(1.0, 4)
+    for moment in range(3):
+        exact = (rough * weights * at[..., moment]).sum()
+        assert (found * volumes * points[..., moment]).sum() == pytest.approx(exact, rel=1e-6)
+    for damage in (
+        rough,
+        np.where(at[..., 2] < 0.3, 1.0, 0.0),
+        np.where(at[..., 0] < 0.9, 0.9, 0.0),
+    ):
+        found = mapped(damage).at_points(2 / 3, 4)
+        assert found.min() >= 0.0 and found.max() <= 2 / 3 * (1 + 1e-12)
+        assert found.mean() == pytest.approx(mapped(damage).at_points(2 / 3, 1)[0, 0], rel=1e-12)
 
 
 def _nodes():

@@ -10,13 +10,13 @@ from peri.corrosion.classes.volumes import class_bond_sums, constant_of
 from peri.corrosion.kinetics import ConstantRate
 from peri.corrosion.scene import CorrosionScene
 from peri.engine.lattice import Lattice
+from peri.engine.surface.exposure import exposure
 from peri.engine.surface.rate_classes import cell_exposure
 from peri.omissions.well_stirred import well_stirred
 from pipeline.geometry.mesh import cell_volumes, refine_tetrahedra
 from pipeline.stages.doses import (
     damage_by_dose,
     doses,
-    exposure_at,
     part_means,
     skin_exposure,
     skin_points,
@@ -50,7 +50,7 @@ def _points() -> np.ndarray:
     return way * (RADIUS - 1e-5 - rng.uniform(0.0, 1.0, (500, 1)) * 0.9 * HORIZON)
 
 
-def test_in_clean_liquid_every_cell_has_the_same_dose_and_points_their_own_damage(scene, tmp_path):
+def test_in_clean_liquid_every_cell_has_the_same_dose_and_points_their_own_damage(scene):
     end = 20 * DAY
     z = constant_of(scene) * scene.base_interface_diffusivity() * end
     found = doses(scene, well_stirred(scene, [0.0, end]).concentration)
@@ -62,11 +62,8 @@ def test_in_clean_liquid_every_cell_has_the_same_dose_and_points_their_own_damag
     assert np.array_equal(np.flatnonzero(there), seeing[speaking]) and not speaking.all()
     # cells that have lost less than 1e-4 know their dose to fewer digits: measured 2e-6
     assert np.abs(found[1][there] / z - 1).max() < 1e-5
-    solid = SimpleNamespace(points=SURFACE.vertices, triangles=SURFACE.facets)
     points = _points()
-    seen = exposure_at(points[None], solid, KERNEL, tmp_path)
-    again = exposure_at(points[None], solid, KERNEL, tmp_path)
-    assert np.array_equal(seen, again) and len(list(tmp_path.iterdir())) == 1
+    seen = exposure(points, SURFACE, *KERNEL)[None]
     lattice = scene.lattice
     damage = damage_by_dose(points[None], seen, lattice.origin, lattice.spacing, found[1])[0]
     exact = -np.expm1(-z * ball_exposure(RADIUS - np.linalg.norm(points, axis=1), RADIUS, HORIZON))

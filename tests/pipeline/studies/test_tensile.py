@@ -28,13 +28,13 @@ EXACT = {"0w": 450.0, "8w": 270.0}
 
 
 def rows_of_order_one():
-    """Peak forces exact * (1 + c h^order): P2 order 2, P1-Fbar order 1, increments order 1."""
+    """Peak forces exact * (1 + c h^order): P2-Fbar order 2, P1-Fbar order 1, increments order 1."""
     rows = []
 
     def add(curve, t, cells, size, force, seconds, **more):
         base = Row(
-            curve, f"{1e3 * size:g} mm", "Mg", t, "P2", size, size, study.INCREMENT, cells=cells,
-            peak_force=force, processor_seconds=seconds, increments=20, iterations=7,
+            curve, f"{1e3 * size:g} mm", "Mg", t, study.REFERENCE, size, size, study.INCREMENT,
+            cells=cells, peak_force=force, processor_seconds=seconds, increments=20, iterations=7,
             status="past_peak",
         )  # fmt: skip
         rows.append(replace(base, **more))
@@ -44,7 +44,7 @@ def rows_of_order_one():
         for n in (2, 4, 8):
             h = 1.0 / n
             error = 0.8 * h**2 * corroded
-            add("P2", t, n**3, 1e-3 * h, exact * (1 + error), 10.0 * n**3, element="P2")
+            add(study.REFERENCE, t, n**3, 1e-3 * h, exact * (1 + error), 10.0 * n**3)
             error = 0.8 * h * corroded
             add("P1-Fbar", t, n**3, 1e-3 * h, exact * (1 + error), float(n**3), element="P1-Fbar")
         for x in (0.02, 0.01, 0.005):
@@ -71,7 +71,7 @@ def test_errors_of_ratio_and_increment_are_those_put_in():
     errors = study.Errors(study.Study(tuple(rows_of_order_one())), "Mg")
     assert errors.ratio["8w"][0] == pytest.approx(270 / 450)
     coarse = errors.curve("P1-Fbar", "8w")[0]
-    # 40 % of the mesh, and the distance of the finest P2 mesh from the limit: 0.8 / 64.
+    # 40 % of the mesh, and the distance of the finest mesh from the limit: 0.8 / 64.
     assert errors.ratio_error(coarse) == pytest.approx(0.4 + 0.0125)
     assert errors.force_error(coarse) == pytest.approx(0.4)
     assert errors.increment_errors() == pytest.approx({0.02: 0.04, 0.01: 0.02, 0.005: 0.01})
@@ -87,7 +87,7 @@ def test_the_cheapest_setting_is_within_the_error_and_the_seconds():
     other, reached = study.cheapest(weaker, 0.5)
     assert reached and other is not best and other.seconds >= best.seconds
     best, reached = study.cheapest(found, 1e-3)
-    assert not reached and best.element == "P2"
+    assert not reached and best.element == study.REFERENCE
     best, reached = study.cheapest(found, 1e-3, most=100.0)
     assert not reached and best.seconds <= 100.0
 
@@ -104,9 +104,13 @@ def test_a_mesh_with_a_test_that_stopped_is_no_setting():
 
 
 def test_without_a_reference_at_every_time_nothing_is_chosen():
-    rows = [r for r in rows_of_order_one() if (r.curve, r.immersion) != ("P2", "8w") or r.cells < 9]
+    rows = [
+        r
+        for r in rows_of_order_one()
+        if (r.curve, r.immersion) != (study.REFERENCE, "8w") or r.cells < 9
+    ]
     short = study.Study(tuple(rows))
-    assert len([r for r in rows if r.curve == "P2" and r.immersion == "8w"]) == 1
+    assert len([r for r in rows if r.curve == study.REFERENCE and r.immersion == "8w"]) == 1
     assert study.settings(short) == []
     with pytest.raises(RuntimeError, match="nothing to choose from"):
         results.presets_text(short, "the command")
@@ -119,13 +123,13 @@ def test_the_files_of_the_study_are_whole_and_its_presets_can_be_read(tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted(p.name for p in paths)
     assert repr(read_rows(paths[0])) == repr(list(whole.rows))
     text = paths[1].read_text()
-    assert "P2: observed order of the peak force in the edge: nan (0w), 2.0 (8w)" in text
+    assert "P2-Fbar: observed order of the peak force in the edge: nan (0w), 2.0 (8w)" in text
     assert "increment: observed order of the strength left 1.0" in text
     assert paths[2].read_bytes().startswith(b"\x89PNG")
     presets = read_presets(tensile=paths[3])
     assert list(presets) == list(NAMES)
     fine = presets["fine"]
-    assert (fine.element, fine.increment, fine.mesh_size) == ("P2", 0.005, 0.125e-3)
+    assert (fine.element, fine.increment, fine.mesh_size) == (study.REFERENCE, 0.005, 0.125e-3)
     # mesh 0.0125 twice (its own and that of the limit) and increment 0.01, two digits of each
     assert fine.tensile_error.error == pytest.approx(0.035, rel=0.03)
     assert fine.tensile_error.latest == "8w"
@@ -165,7 +169,7 @@ def test_the_study_pulls_what_a_run_pulls_and_goes_on_where_it_was(tmp_path, mon
     assert mapping_of(scene, scene.tensile) == EXPOSURES
     run = (scene.tensile.element, scene.mesh.size, scene.mesh.size_fine, scene.tensile.increment)
     plain = [p for p in asked if (p.element, p.mesh_size, p.mesh_size_fine, p.increment) == run]
-    assert any((p.damage, p.samples, p.grip, p.field) == ("cell", 1, None, "") for p in plain)
+    assert any((p.damage, p.samples, p.grip, p.field) == ("point", 1, None, "") for p in plain)
     assert len({study._identity(p) for p in asked}) == len(asked) < len(found.rows)
     assert read_rows(rows) == list(found.rows)
 
@@ -174,7 +178,9 @@ def test_the_scatter_is_the_spread_over_meshes_of_about_one_size():
     rows = rows_of_order_one()
     size, cells = 0.25e-3, 64
     for t, force in (("0w", 450.0), ("8w", 300.0)):
-        base = next(r for r in rows if (r.curve, r.immersion, r.mesh_size) == ("P2", t, size))
+        base = next(
+            r for r in rows if (r.curve, r.immersion, r.mesh_size) == (study.REFERENCE, t, size)
+        )
         for near, factor in ((0.98 * size, 1.0), (1.02 * size, 1.02)):
             more = {"mesh_size": near, "mesh_size_fine": near, "cells": cells}
             corroded = force * factor if t != "0w" else force
@@ -213,8 +219,8 @@ def test_a_pull_is_done_once_in_a_process_of_its_own_and_given_up_in_time(tmp_pa
     assert repr(read_rows(tmp_path / "rows.csv")) == repr([*rows, late[0]])
 
 
-@pytest.mark.parametrize("samples", [None, 1, 2])
-def test_the_mesh_of_a_pull_loses_what_its_lattice_lost(samples):
+@pytest.mark.parametrize(("damage", "samples"), [("cell", 1), ("point", 1), ("point", 2)])
+def test_the_mesh_of_a_pull_loses_what_its_lattice_lost(damage, samples):
     points, cells = box((2, 2, 4), (1e-3, 1e-3, 2e-3))
     metal = np.ones((5, 5, 7), bool)
     lost = np.random.default_rng(3).random(metal.shape)
@@ -222,11 +228,14 @@ def test_the_mesh_of_a_pull_loses_what_its_lattice_lost(samples):
         "origin": (-5e-4,) * 3, "spacing": 5e-4, "concentration": 2.0 * (1.0 - lost),
         "metal": metal, "solid": 2.0, "capacity": np.full(metal.shape, 16.0 / metal.size),
     }  # fmt: skip
-    pull = Pull("", "", "Mg-5Gd", "8w", "P2", 1e-3, 1e-3, 0.01, samples=samples)
-    damage = mapped_damage(points, cells, pull, field, 1.0, Path())
+    pull = Pull(
+        "", "", "Mg-5Gd", "8w", "P2", 1e-3, 1e-3, 0.01, damage=damage, samples=samples
+    )  # fmt: skip
+    found = mapped_damage(points, cells, pull, field, 1.0, Path())
     _, weights = quadrature_points(points, cells, "P2")
-    volumes = weights if samples is None else weights.sum(axis=1, keepdims=True)
-    assert (damage * volumes).sum() == pytest.approx(lost.mean() * 2e-9, rel=1e-12)
+    volumes = weights.sum(axis=1, keepdims=True) if damage == "cell" else weights
+    assert found.shape == volumes.shape
+    assert (found * volumes).sum() == pytest.approx(lost.mean() * 2e-9, rel=1e-12)
 
 
 def levels():
