@@ -39,7 +39,10 @@ class Assembled:
 
 
 class Assembler:
-    """Assembles a Discretisation with the materials of its cells; `alive` cells only."""
+    """Assembles a Discretisation with the materials of its cells; `alive` cells only.
+
+    averaged (nc,): cells whose change of volume F-bar averages; all, unless some are taken out.
+    """
 
     def __init__(self, discretisation: Discretisation, laws: Laws, threads: int) -> None:
         self.discretisation, self.laws = discretisation, laws

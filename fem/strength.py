@@ -43,6 +43,7 @@ _AFTER_REMOVAL = 1 / 64  # of the size: with cells gone there is a jump to settl
 _LAGS = 4.0  # times the lag wanted: what an increment may have; also what is wanted past the peak
 _WELL_PAST = 0.25  # of the drop that ends a test: from there on the peak is known
 _FALLING = 3  # increments since the peak, in a row, after which the peak is passed
+_CREEPING = 1 / 64  # of the largest increment: what fails with less is not tried on past the peak
 _KNOWN = 1e-3  # of the reaction: what it may be off past the peak (`Equilibrium.unbalanced`)
 
 
@@ -203,6 +204,9 @@ class _Test:
                 if ended:
                     break
                 parted = self._retreat(march, outcome, tried)
+                if march.size < _CREEPING * s.maximum_increment and self._fell(march):
+                    ended = True
+                    break
                 if march.size < s.minimum_increment:
                     status = f"stopped: {outcome.reason} at strain {march.strain:.5f}"
                     break
@@ -222,9 +226,7 @@ class _Test:
                 observer(Increment(self, march))
             parted = removed and self._parted()
             ended = self._ended(march, outcome.reaction)
-        if status.startswith("stopped") and self._fell(march):
-            log.info("the peak is passed: %s", status)
-            ended = True
+        ended = ended or (status.startswith("stopped") and self._fell(march))
         if ended or parted:
             status = "past_peak"
         if parted:

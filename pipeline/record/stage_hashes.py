@@ -10,7 +10,7 @@ from pipeline.record.machine import version
 from pipeline.scene.scene import HoldScene, Scene, content_hash
 from pipeline.scene.units import ImmersionTime
 
-STAGE_REVISION = {"geometry": 4, "corrode": 9, "map": 8, "pull": 8, "report": 7}
+STAGE_REVISION = {"geometry": 4, "corrode": 9, "map": 8, "pull": 9, "report": 7}
 """Raise a stage's number with every change of code (peri and fem included) or of a default outside
 the scene that changes what the stage writes: otherwise a run folder that is gone on with keeps what
 the older code wrote there.  Stages that build on it follow by themselves."""
