@@ -120,7 +120,6 @@ def _halves(corners: np.ndarray) -> np.ndarray:
     middle = {(a, b): 0.5 * (corners[a] + corners[b]) for a in range(4) for b in range(4)}
     outer = [[middle[a, b] for b in range(4)] for a in range(4)]
     axis = middle[0, 1], middle[2, 3]
-    # the k-th of the inner ones has most edges that end at corner k
-    ring = [(2, 3), (3, 2), (1, 0), (0, 1)]
-    inner = [[*axis, middle[k, a], middle[k, b]] for k, (a, b) in enumerate(ring)]
+    ring = [middle[0, 2], middle[0, 3], middle[1, 3], middle[1, 2]]
+    inner = [[*axis, ring[k], ring[(k + 1) % 4]] for k in range(4)]
     return np.array(outer + inner)
