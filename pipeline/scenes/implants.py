@@ -178,16 +178,16 @@ def strengths(made: Joint, pull: Pull, results: Sequence[GalvanicResult]) -> lis
     from mpi4py.MPI import COMM_SELF as alone  # marches may have other ranks
 
     from fem.constitutive import Material, fit_voce
-    from fem.quadrature import sampling_points
     from fem.solid import Grips
     from fem.strength import TensileSettings, tensile_test
+    from pipeline.geometry.mesh import cell_volumes
     from pipeline.geometry.solids import tetrahedral_mesh
-    from pipeline.stages.damage_map import conserving_map
+    from pipeline.stages.mapping import Lost, map_lost, points_of
 
     mesh = tetrahedral_mesh(pull.solid, pull.mesh_size, pull.mesh_size_fine)
-    points, weights = sampling_points(mesh.points, mesh.cells)
+    volume = cell_volumes(mesh.points, mesh.cells).sum()
     lattice, implant = made.coupled.lattice, made.coupled.metals[made.implant]
-    part = weights.sum() / (implant.nodes.sum() * np.prod(lattice.spacing))  # of a lattice cell
+    part = volume / (implant.nodes.sum() * np.prod(lattice.spacing))  # of a lattice cell
     alloy = pull.alloy
     hardening = fit_voce(
         alloy.yield_stress.si, alloy.ultimate_tensile_strength.si, alloy.uniform_strain.si
@@ -196,12 +196,14 @@ def strengths(made: Joint, pull: Pull, results: Sequence[GalvanicResult]) -> lis
     settings = TensileSettings("P2-Fbar", peak_drop=0.05, grips=Grips(pull.grip, pull.grip))
     damages = [np.zeros(len(mesh.cells))]
     for result in results:
-        whole, _, _ = conserving_map(
-            points, weights, np.subtract(lattice.origin, pull.at), lattice.spacing,
-            result.fields["concentration"][-1], implant.nodes, implant.solid_concentration,
-            part * implant.nodes,
+        lost = Lost(
+            np.subtract(lattice.origin, pull.at), np.asarray(lattice.spacing),
+            result.fields["concentration"][-1], implant.nodes, part * implant.nodes,
+            implant.solid_concentration,
         )  # fmt: skip
-        damages.append(np.minimum(whole, 1.0 / material.q1).mean(axis=1))
+        mapped = map_lost(mesh.points, mesh.cells, lost)
+        count = points_of(settings.element, settings.damage)
+        damages.append(mapped.at_points(1.0 / material.q1, count))
     return [
         float(tensile_test(mesh.points, mesh.cells, damage, material, settings, alone).peak_force)
         for damage in damages

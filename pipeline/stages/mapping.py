@@ -133,30 +133,19 @@ def map_lost(
     cell, and its quadrature points alone miss up to a tenth of the loss (pipeline/MEASURED.md).
     folder: where what the points see is kept.
     """
-    seen = lost.seen
-    if seen is None:
-        at, weights = sampling_points(points, cells, halvings)
-    else:
-        at, weights = skin_points(points, cells, halvings)
-    place = (lost.origin, lost.spacing)
+    seen, place = lost.seen, (lost.origin, lost.spacing)
     field = (lost.concentration, lost.metal, lost.solid_concentration)
     if seen is None:
+        at, weights = sampling_points(points, cells, halvings)
         found = conserving_map(at, weights, *place, *field, lost.capacity)
-        return _mapped(weights, found, at, points[cells])
-    exposure = skin_exposure(points, cells, seen.solid, seen.kernel, folder, halvings)
-    damage = damage_by_dose(at, exposure, *place, seen.dose)
-    gone = lost_volume_on_lattice(*field, lost.capacity * np.prod(lost.spacing))
-    return _mapped(weights, conserved(damage, weights, gone), at, points[cells])
-
-
-def _mapped(
-    weights: np.ndarray,
-    found: tuple[np.ndarray, float, dict[str, float]],
-    at: np.ndarray,
-    corners: np.ndarray,
-) -> Mapped:
-    damage, exponent, lost = found
-    return Mapped(damage, weights, exponent, lost, at, corners)
+    else:
+        at, weights = skin_points(points, cells, halvings)
+        exposure = skin_exposure(points, cells, seen.solid, seen.kernel, folder, halvings)
+        damage = damage_by_dose(at, exposure, *place, seen.dose)
+        gone = lost_volume_on_lattice(*field, lost.capacity * np.prod(lost.spacing))
+        found = conserved(damage, weights, gone)
+    damage, exponent, volumes = found
+    return Mapped(damage, weights, exponent, volumes, at, points[cells])
 
 
 def map_in_folder(
