@@ -45,7 +45,8 @@ class Level:
     """One value of one factor, all others as in the base.
 
     ratio: strength left; error: of this level, relative; seconds: processor time that the factor
-    decides, of the march (the surface aside) or of the pull.
+    decides, of the march (the surface aside) or of the pulls, of time step and mapping over the
+    base's; map_seconds: of the base's map onto a mesh.
     """
 
     factor: str
@@ -54,6 +55,7 @@ class Level:
     error: float
     seconds: float
     status: str
+    map_seconds: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -89,9 +91,9 @@ def factor_levels(
 
 
 def combinations(levels: Sequence[Level]) -> list[Combination]:
-    """Every choice of one level per factor; the cost is that of its corrosion and its pull.
+    """Every choice of one level per factor; the cost is that of its corrosion, map and pulls.
 
-    The pull costs what its mesh costs, scaled by what the increment costs over the base's.
+    Pulls cost what those of their mesh cost, scaled by what the increment costs over the base's.
     """
     groups = [[e for e in levels if e.factor == factor] for factor in FACTORS]
     base = next(e for e in levels if e.factor == "increment")
@@ -101,8 +103,10 @@ def combinations(levels: Sequence[Level]) -> list[Combination]:
             continue
         by = {level.factor: level for level in chosen}
         corrosion = by["lattice"].seconds * by["time step"].seconds
-        pull = by["mesh and element"].seconds * by["increment"].seconds / base.seconds
-        found.append(Combination(chosen, sum(e.error for e in chosen), corrosion + pull))
+        mesh = by["mesh and element"]
+        cost = corrosion + mesh.map_seconds * by["mapping"].seconds
+        cost += mesh.seconds * by["increment"].seconds / base.seconds
+        found.append(Combination(chosen, sum(e.error for e in chosen), cost))
     return found
 
 
@@ -146,6 +150,7 @@ def study_life_cycle(
     found = {_content(p): row for p, row in zip(once, rows, strict=True)}
     entries: dict[str, list[tuple[str, float, float, str]]] = {factor: [] for factor in FACTORS}
     first = _march_name(LATTICES[0], RATE_CHANGES[0])
+    mapped = _map_seconds(rows)
     for factor, choice, _ in variants:
         intact, corroded = (found[_content(pulls[factor, choice, t])] for t in ("0w", immersion))
         cost = intact.processor_seconds + corroded.processor_seconds
@@ -153,15 +158,32 @@ def study_life_cycle(
             cost = seconds[corroded.field]
         if factor == "time step":
             cost = seconds[corroded.field] / seconds[first]
+        if factor == "mapping":
+            cost = mapped[_mapped_by(corroded)] / mapped[_mapped_by(base)]
         ratio = corroded.peak_force / intact.peak_force
         entries[factor].append((choice, ratio, cost, corroded.status))
     levels: list[Level] = []
     for factor in FACTORS:
         if factor == "mesh and element":
-            levels += _mesh_levels(entries[factor])
+            onto = [mapped[size, fine, base.samples] for _, size, fine in MESHES]
+            made = zip(_mesh_levels(entries[factor]), onto, strict=True)
+            levels += [replace(level, map_seconds=cost) for level, cost in made]
         else:
             levels += factor_levels(factor, entries[factor], *ORDERS.get(factor, (None,)))
     return levels
+
+
+def _mapped_by(pull: Pull) -> tuple[float, float, int]:
+    return pull.mesh_size, pull.mesh_size_fine, pull.samples
+
+
+def _map_seconds(rows: Sequence[Row]) -> dict[tuple[float, float, int], float]:
+    """Of the map by mesh and samples: the longest, of which the others found a part ready."""
+    longest: dict[tuple[float, float, int], float] = {}
+    for row in rows:
+        place = _mapped_by(row)
+        longest[place] = max(row.mapping_seconds, longest.get(place, 0.0))
+    return longest
 
 
 def _mesh_levels(entries: Sequence[tuple[str, float, float, str]]) -> list[Level]:
@@ -233,7 +255,10 @@ def tables(levels: Sequence[Level], title: str) -> list[str]:
         "| --- | --- | ---: | ---: | ---: |",
     ]
     for e in levels:
-        cost = f"x {e.seconds:.1f}" if e.factor == "time step" else f"{e.seconds:.1f} s"
+        relative = e.factor in ("time step", "mapping")
+        cost = f"x {e.seconds:.1f}" if relative else f"{e.seconds:.1f} s"
+        if e.map_seconds:
+            cost += f" + map {e.map_seconds:.1f} s"
         early = " (stopped early)" if e.status.startswith("stopped") else ""
         lines.append(
             f"| {e.factor} | {e.choice} | {100 * e.ratio:.1f} %{early} | {100 * e.error:.1f} % "

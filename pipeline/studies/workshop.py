@@ -80,7 +80,8 @@ class Row(Pull):
 
     strain_at_peak: at the largest force; iterations: most of one increment; processor_seconds: of
     the whole pull; seconds: of the clock, and of these material and assembly, set-up of the
-    preconditioner, linear solutions.
+    preconditioner, linear solutions; mapping_seconds: of the processor, of the map, what its points
+    see included where that was not kept yet.
     """
 
     cells: int = 0
@@ -94,6 +95,7 @@ class Row(Pull):
     assembly_seconds: float = 0.0
     setup_seconds: float = 0.0
     solve_seconds: float = 0.0
+    mapping_seconds: float = 0.0
     status: str = ""
 
 
@@ -342,7 +344,9 @@ def pull_once(folder: Path, pull: Pull, limit: float = LIMIT_SECONDS) -> Row:
     with np.load(_mesh_path(folder, pull.mesh_size, pull.mesh_size_fine, pull.ends)) as mesh:
         points, cells = mesh["points"], mesh["cells"]
     with np.load(_field_path(folder, pull.field, pull.alloy, pull.immersion)) as field:
+        begun = time.process_time()
         damage = mapped_damage(points, cells, pull, field, 1.0 / values.q1, folder)
+        mapping_seconds = time.process_time() - begun
     settings = replace(settings_of(test), tolerance=pull.tolerance, threads=1)
     begun = time.process_time()
     signal.signal(signal.SIGPROF, _overdue)
@@ -353,6 +357,7 @@ def pull_once(folder: Path, pull: Pull, limit: float = LIMIT_SECONDS) -> Row:
         seconds = time.process_time() - begun
         return Row(
             **asdict(pull), cells=len(cells), processor_seconds=seconds,
+            mapping_seconds=mapping_seconds,
             status=f"stopped: not done within {limit:.0f} s",
         )  # fmt: skip
     finally:
@@ -371,6 +376,7 @@ def pull_once(folder: Path, pull: Pull, limit: float = LIMIT_SECONDS) -> Row:
         assembly_seconds=cost.get("assembly_seconds", 0.0),
         setup_seconds=cost.get("preconditioner_seconds", 0.0),
         solve_seconds=cost.get("solve_seconds", 0.0),
+        mapping_seconds=mapping_seconds,
         status=result.status,
     )
 

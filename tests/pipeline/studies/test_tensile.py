@@ -269,3 +269,10 @@ def test_the_cheapest_combination_is_found_among_all():
     surest, reached = life_cycle.cheapest(found, 1e-6)
     assert not reached and surest.error == min(c.error for c in found)
     assert any("not reached" in line for line in life_cycle.tables(levels(), "Mg, 8w"))
+
+
+def test_a_combination_costs_march_map_and_pulls():
+    made = [replace(e, map_seconds=0.5 * (e.factor == "mesh and element")) for e in levels()]
+    first, last = (life_cycle.combinations(made)[i].seconds for i in (0, -1))
+    assert first == pytest.approx(1.0 * 1.0 + 0.5 * 1.0 + 5.0 * 1.0)
+    assert last == pytest.approx(4.0 * 4.0 + 0.5 * 4.0 + 50.0 * 9.0 / 5.0)
