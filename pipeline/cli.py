@@ -46,6 +46,7 @@ def build_parser() -> argparse.ArgumentParser:
         description="Residual strength of biodegradable magnesium implants after immersion.",
         epilog="to begin: perilife run --alloy Mg-5Gd --immersion 8w --out runs/first (a minute), "
         "then open runs/first/report.html; perilife COMMAND --help tells the rest",
+        allow_abbrev=False,
     )
     parser.add_argument("--version", action="store_true", help="print the version and end")
     parser.add_argument("--verbose", action="store_true", help="log what the libraries do")

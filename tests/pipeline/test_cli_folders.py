@@ -208,3 +208,15 @@ def test_commands_that_are_not_there_are_refused(capsys):
     refused(capsys, ["bench", "dance"], "dance", "quick-stages")
     refused(capsys, ["bench", "quick"], "did you mean quick-stages?")
     refused(capsys, ["study", "tensil", "--out", "x"], "did you mean tensile?")
+
+
+def test_a_mistyped_option_is_named_before_whatever_else_is_wrong(capsys):
+    missing = refused(capsys, ["run", "--imersion", "8w"], "--imersion (did you mean --immersion?)")
+    assert "required" not in missing
+    refused(capsys, ["--bogus", "run"], "unrecognized arguments: --bogus")
+    refused(
+        capsys, ["plan", "no-such.toml", "--bogus=3", "-x"], "unrecognized arguments: --bogus=3 -x"
+    )
+    refused(capsys, ["plan", "--to", "vtu"], "unrecognized arguments: --to (of another command)")
+    refused(capsys, ["run", "--bending-azimuth", "-3deg"], "required: --alloy")
+    refused(capsys, ["corrode", "--", "--bogus"], "required: --out")

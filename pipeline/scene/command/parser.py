@@ -3,6 +3,7 @@
 import argparse
 import re
 import sys
+import typing
 from collections.abc import Callable, Sequence
 
 from perilife_data import did_you_mean
@@ -30,7 +31,34 @@ class OneSentenceParser(argparse.ArgumentParser):
             arguments = self.expand(arguments)
         return super().parse_known_args(arguments, namespace)
 
-    def error(self, message: str) -> None:
+    def parse_args(
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> argparse.Namespace:
+        """Parse; whatever else is wrong, an option that is not known is refused first."""
+        arguments = list(sys.argv[1:] if args is None else args)
+        try:
+            return super().parse_args(arguments, namespace)
+        except (ValueError, OSError):
+            unknown = self._unknown(arguments)
+            if not unknown:
+                raise
+        self.error(f"unrecognized arguments: {' '.join(unknown)}")
+
+    def _unknown(self, arguments: Sequence[str]) -> list[str]:
+        """The words that look like options and are none of this parser or of its command."""
+        commands = self._commands()
+        found = []
+        for n, word in enumerate(arguments):
+            if word in commands:
+                return found + commands[word]._unknown(arguments[n + 1 :])
+            if word == "--":  # what follows are no options
+                break
+            option = re.match(r"--?[a-zA-Z][^=\s]*(?=$|=)", word)
+            if option and option[0] not in self._option_string_actions:
+                found.append(word)
+        return found
+
+    def error(self, message: str) -> typing.NoReturn:
         """Refuse, with the nearest command or option where one was not understood."""
         number = re.fullmatch(r"argument (.+): invalid (int|float) value: (.*)", message)
         if number:
@@ -45,13 +73,15 @@ class OneSentenceParser(argparse.ArgumentParser):
 
     def _names(self) -> set[str]:
         """Every option and command of this parser and of those below it."""
-        names = set(self._option_string_actions)
-        for action in self._actions:
-            if isinstance(action, argparse._SubParsersAction):
-                names |= set(action.choices)
-                for parser in action.choices.values():
-                    names |= parser._names()
-        return names
+        commands = self._commands()
+        return set(self._option_string_actions).union(
+            commands, *(parser._names() for parser in commands.values())
+        )
+
+    def _commands(self) -> dict[str, "OneSentenceParser"]:
+        """The parsers of the commands by their names; none below a command."""
+        actions = [a for a in self._actions if isinstance(a, argparse._SubParsersAction)]
+        return {name: parser for a in actions for name, parser in a.choices.items()}
 
 
 def take_folder(parser: OneSentenceParser) -> None:

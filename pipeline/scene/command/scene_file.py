@@ -113,7 +113,7 @@ def _named(
         if word.startswith("--"):
             name, equals, value = word.partition("=")
             action = options.get(keyword(name))
-            # of an option that is not known, too: the parser names it, not the word as a file
+            # of --help and an option that is not known, too: what the word is, the parser says
             takes = 0 if equals else 1 if action is None else _WORDS.get(action.nargs, 1)
             if keyword(name) == "scene" and equals:
                 found.append(value)
