@@ -1,8 +1,16 @@
 """Refusals of a scene: one sentence that names field, value and what is allowed."""
 
 import math
+from collections.abc import Sequence
 
 from perilife_data import did_you_mean
+from pipeline.scene.units import ImmersionTime
+
+YEAR = 365.25 * 86400.0
+LONGEST_IMMERSION = 100 * YEAR
+"""Seconds; longer than a person carries an implant is a slip in a unit."""
+MOST_STEPS = 1_000_000
+"""Fixed time steps of a march; raising it allows runs of months and more."""
 
 
 class SceneError(ValueError):
@@ -29,3 +37,30 @@ def one_of(name: str, value: str, allowed: tuple[str, ...]) -> None:
     """Raise SceneError unless the value is among the allowed ones."""
     near = did_you_mean(value, allowed)
     check(value in allowed, name, f"'{value}'{near}", f"one of {', '.join(allowed)}")
+
+
+def check_times(times: Sequence[ImmersionTime], step: float | None) -> None:
+    """Raise SceneError unless immersion times rise and a fixed time step (s) suits the longest."""
+    check(bool(times), "list of immersion times", "empty", "at least one time")
+    seconds = [time.seconds for time in times]
+    check(
+        seconds[0] >= 0 and all(a < b for a, b in zip(seconds, seconds[1:], strict=False)),
+        "list of immersion times",
+        [time.label for time in times],
+        "at least 0 and rising",
+    )
+    last = times[-1]
+    check(
+        last.seconds <= LONGEST_IMMERSION,
+        "immersion time",
+        f"{last.label}, {last.seconds / YEAR:.4g} years",
+        f"at most {LONGEST_IMMERSION / YEAR:g} years",
+    )
+    if step is not None and last.seconds > 0:
+        check(
+            at_most(step, last.seconds) and at_most(last.seconds, MOST_STEPS * step),
+            "corrosion step",
+            f"{step:g} s",
+            f"at most the longest immersion time, {last.label} or {last.seconds:g} s, and at least "
+            f"{last.seconds / MOST_STEPS:g} s, a millionth of it",
+        )

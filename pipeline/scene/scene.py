@@ -21,7 +21,7 @@ from peri.engine.omission import DEFAULT_TOLERANCE
 from peri.omissions.names import OMITTABLE
 from perilife_data import did_you_mean
 from perilife_data.limits import LARGEST_YIELD_STRAIN
-from pipeline.scene.checks import SceneError, at_most, check, one_of, positive
+from pipeline.scene.checks import SceneError, at_most, check, check_times, one_of, positive
 from pipeline.scene.image import ImageFile
 from pipeline.scene.laws.coating import CoatingScene
 from pipeline.scene.laws.ions import IonSettings
@@ -31,9 +31,6 @@ from pipeline.scene.screw import ScrewParameters
 from pipeline.scene.units import ImmersionTime, format_length, parse_time
 
 SCHEMA_VERSION = 2
-YEAR = 365.25 * 86400.0
-LONGEST_IMMERSION = 100 * YEAR
-"""Seconds; longer than a person carries an implant is a slip in a unit."""
 
 DOMAIN_SHAPES = ("cylinder", "ball")
 DISSOLUTION_LAWS = tuple(INTERFACE_LAWS)
@@ -302,21 +299,8 @@ class Scene:
         check(
             len(set(names)) == len(names), "list of alloys", " ".join(names), "without repetition"
         )
-        check(bool(self.immersion), "list of immersion times", "empty", "at least one time")
-        seconds = [time.seconds for time in self.immersion]
-        check(
-            seconds[0] >= 0 and all(a < b for a, b in zip(seconds, seconds[1:], strict=False)),
-            "list of immersion times",
-            [time.label for time in self.immersion],
-            "at least 0 and rising",
-        )
+        check_times(self.immersion, self.corrosion.step)
         last = self.immersion[-1]
-        check(
-            last.seconds <= LONGEST_IMMERSION,
-            "immersion time",
-            f"{last.label}, {last.seconds / YEAR:.4g} years",
-            f"at most {LONGEST_IMMERSION / YEAR:g} years",
-        )
         unknown = [alloy.name for alloy in self.alloys if not alloy.corrosion.known]
         if unknown and last.seconds > 0:
             raise SceneError(

@@ -50,6 +50,8 @@ from tests.pipeline.command_line import COARSE, PIN, SCENE, changed, refused, sc
         (changed("--horizon", "50um"), ["horizon is 50 um", "1 to 8"]),
         (changed("--radial-margin", "100um"), ["radial margin is 100 um", "266.7 um"]),
         (changed("--step", "0s"), ["step is 0.0", "above 0"]),
+        (changed("--step", "1e99h"), ["step is 3.6e+102 s", "at most the longest immersion time"]),
+        (changed("--step", "1e-99h"), ["step is 3.6e-96 s", "at least 4.8384 s, a millionth"]),
         (changed("--rate-change", "2"), ["rate change is 2.0"]),
         (changed("--diameter=-2mm"), ["diameter '-2mm' is negative"]),
         (changed("--diameter", "-2mm"), ["diameter '-2mm' is negative"]),

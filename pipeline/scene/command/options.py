@@ -110,7 +110,8 @@ def add_scene_options(parser: argparse.ArgumentParser, immersion: bool = True) -
     corrosion.add_argument(
         "--step",
         metavar="TIME",
-        help="fixed time step (controlled), shortened where rate classes dissolve",
+        help="fixed time step, at most the longest immersion time (controlled); shortened where "
+        "rate classes dissolve",
     )
     corrosion.add_argument(
         "--rate-change",
