@@ -130,7 +130,7 @@ BELOW = {
         "calibration": {"scene", "geometry", "record", "stages"},
         "export": {"scene", "geometry", "record", "stages"},
         "compare": {"scene", "record", "report"},
-        "measured": {"scene", "geometry", "stages", "export"},
+        "measured": {"scene", "geometry", "record", "stages", "export"},
         "completion": set(),
         "scenes": {"scene", "geometry", "record", "stages", "planning"},
         "life_cycle": {"scene", "geometry", "record", "stages", "planning", "report"},

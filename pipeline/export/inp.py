@@ -8,7 +8,6 @@ intact solid's as it is here, and that of corroded ones somewhat higher.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +19,7 @@ from fem.constitutive.gurson import RESIDUAL_STRENGTH
 from fem.constitutive.hardening import VoceHardening, flow_stress
 from fem.solid import guide_vertices, remains
 from pipeline.export.state import CorrodedState
+from pipeline.record.whole_file import whole_file
 
 CLASSES = 20
 MOST_CLASSES = 200
@@ -89,10 +89,9 @@ def write_inp(state: CorrodedState, path: Path, classes: int = CLASSES) -> list[
             "is axial"
         )
     lines = _deck(state, damage_classes(state, classes))
-    with tempfile.TemporaryDirectory(dir=path.parent) as place:
-        file = Path(place) / path.name
-        file.write_text("\n".join(lines) + "\n", encoding="ascii", errors="replace")
-        return [file.replace(path)]
+    with whole_file(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="ascii", errors="replace")
+    return [path]
 
 
 def _deck(state: CorrodedState, classes: DamageClasses) -> Iterator[str]:

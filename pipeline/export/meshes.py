@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from peri.corrosion.results import read_corrosion
 from pipeline.export.state import CorrodedState
+from pipeline.record.whole_file import write_arrays
 
 
 def cell_fields(state: CorrodedState) -> dict[str, NDArray[np.float64]]:
@@ -92,7 +93,5 @@ def write_npz(state: CorrodedState, path: Path) -> list[Path]:
         **{f"material_{name}": value for name, value in vars(state.material).items()},
         **{f"curve_{name}": values for name, values in state.curve.items()},
     }
-    with tempfile.TemporaryDirectory(dir=path.parent) as place:
-        file = Path(place) / path.name
-        np.savez_compressed(file, **arrays)
-        return [file.replace(path)]
+    write_arrays(path, arrays, compressed=True)
+    return [path]

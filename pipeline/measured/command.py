@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import argparse
 import csv
-import os
 from collections.abc import Callable
 from pathlib import Path
 
+from pipeline.record.whole_file import whole_file
 from pipeline.scene.image import add_image_options, image_from_options
 
 TABLE_FILE, FIELD_FILE = "loss.csv", "loss.vti"
@@ -47,12 +47,13 @@ def compare_image(options: argparse.Namespace, say: Callable[[str], None]) -> No
     folder = Path(options.out) if options.out else Path(options.run) / "measured"
     folder.mkdir(parents=True, exist_ok=True)
     rows = found.table()
-    temporary = folder / f".{TABLE_FILE}.tmp"
-    with open(temporary, "w", encoding="utf-8", newline="") as file:
+    with (
+        whole_file(folder / TABLE_FILE) as temporary,
+        open(temporary, "w", encoding="utf-8", newline="") as file,
+    ):
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["place", "metal_before_m3", "measured_loss", "computed_loss"])
         writer.writerows((name, *(f"{value:.8g}" for value in values)) for name, *values in rows)
-    os.replace(temporary, folder / TABLE_FILE)
     write_field(folder / FIELD_FILE, found)
     _print_table(rows, moment.label)
     say(
@@ -102,6 +103,5 @@ def write_field(path: Path, found) -> None:
         ("measured_less_computed_loss_in_boxes", found.difference()),
     ):
         grid.point_data[name] = values.ravel(order="F")
-    temporary = path.with_name(f".tmp-{path.name}")
-    grid.save(temporary)
-    os.replace(temporary, path)
+    with whole_file(path) as temporary:
+        grid.save(temporary)

@@ -15,6 +15,8 @@ from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
+from pipeline.record.whole_file import whole_file
+
 SCENE_FILE = "scene.json"
 SUMMARY_FILE = "summary.csv"
 REPORT_FILE = "report.html"
@@ -220,13 +222,8 @@ def _same_file(descriptor: int, path: Path) -> bool:
 
 def write_text(path: Path, text: str) -> None:
     """Write `text` under a temporary name in the same folder and rename it to `path`."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
+    with whole_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def write_json(path: Path, content: object) -> None:

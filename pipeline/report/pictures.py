@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.record import children
+from pipeline.record.whole_file import whole_file, write_arrays
 
 if TYPE_CHECKING:
     import pyvista
@@ -240,13 +241,8 @@ def render_pictures(
             {"path": str(Path(r.path).resolve()), "cut": r.cut, "damage": order[id(r.damage)]}
             for r in requests
         ]
-        np.savez(
-            job,
-            points=points,
-            cells=cells,
-            plan=json.dumps([plan, list(size), maximum_damage]),
-            **fields,
-        )
+        settings = json.dumps([plan, list(size), maximum_damage])
+        write_arrays(job, {"points": points, "cells": cells, "plan": settings, **fields})
         package_parent = str(Path(__file__).resolve().parents[2])
         search_path = os.pathsep.join(filter(None, [package_parent, os.environ.get("PYTHONPATH")]))
         try:
@@ -357,19 +353,16 @@ def write_overview(run: RunResults, pictures: dict[tuple[str, str, str], Path], 
         if axes.get_legend_handles_labels()[0]:
             place = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.0}
             axes.legend(frameon=False, ncols=3, **place)
-    part = path.with_name(path.name + ".part")
-    FigureCanvasAgg(figure).print_png(part)
-    os.replace(part, path)
+    with whole_file(path) as temporary:
+        FigureCanvasAgg(figure).print_png(temporary)
 
 
 def write_png(image: NDArray[np.uint8], path: Path) -> None:
     """Write an RGBA picture, in one step."""
     from PIL import Image
 
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + ".part")
-    Image.fromarray(image).save(part, format="PNG", optimize=True)
-    os.replace(part, path)
+    with whole_file(path) as temporary:
+        Image.fromarray(image).save(temporary, format="PNG", optimize=True)
 
 
 def _child(job: Path) -> None:

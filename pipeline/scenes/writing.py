@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +13,7 @@ import numpy as np
 from peri.corrosion.results import write_history
 from peri.engine.results import write_result
 from pipeline.record.run_folder import write_text
+from pipeline.record.whole_file import whole_file
 from pipeline.scenes.outcome import Outcome, Panel, Prepared, Section
 
 if TYPE_CHECKING:
@@ -91,12 +91,8 @@ def draw(panels: Sequence[Panel | Section], path: Path) -> None:
         axes.grid(True, linewidth=0.3)
         if len(panel.curves) > 1:
             axes.legend(fontsize=8)
-    temporary = path.with_name(f".{path.name}.tmp")
-    try:
+    with whole_file(path) as temporary:
         figure.savefig(temporary, dpi=120, format="png")
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _draw_section(section: Section, axes: Axes) -> None:

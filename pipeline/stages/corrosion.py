@@ -31,6 +31,7 @@ from peri.omissions.sampling_error import sampling_error
 from pipeline.geometry.cell_shares import cell_shares
 from pipeline.geometry.surface import Solid
 from pipeline.geometry.voxels import metal_fraction
+from pipeline.record.whole_file import write_arrays
 from pipeline.scene.resolve import rate_law
 from pipeline.scene.scene import CorrosionParameters, Scene
 from pipeline.stages import ions as ion_stage
@@ -314,7 +315,7 @@ def corrode_in_folder(
     if exposure is not None:
         dose = doses(result.scene, result.concentration)
         if dose is not None:
-            np.savez_compressed(out / DOSES_FILE, dose=dose)
+            write_arrays(out / DOSES_FILE, {"dose": dose}, compressed=True)
         result = by_nodes(result, metal)
     write_corrosion(out / CORROSION_FILE, result)
     history = dict(result.history)

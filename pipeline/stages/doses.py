@@ -10,7 +10,6 @@ gives only what varies slowly.
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +23,7 @@ from peri.engine.surface.triangles import Surface
 from pipeline.geometry.mesh import refine_tetrahedra, surface_faces
 from pipeline.geometry.surface import Solid
 from pipeline.geometry.true_volume import Gaps
+from pipeline.record.whole_file import write_arrays
 from pipeline.scene.scene import Scene
 from pipeline.stages.damage_map import interpolated
 
@@ -141,9 +141,10 @@ def skin_exposure(
     """
     surface = Surface(solid.points, solid.triangles)
     mark = fingerprint(surface.vertices, surface.facets, points, cells, halvings, *kernel)
-    kept = None if folder is None else folder / f"seen-{mark[:16]}.npy"
+    kept = None if folder is None else folder / f"seen-{mark[:16]}.npz"
     if kept is not None and kept.exists():
-        return np.load(kept)
+        with np.load(kept) as stored:
+            return stored["seen"]
     corners, face, barycentric, _ = _skin(points, cells, halvings)
     at = np.einsum("pqa,pad->pqd", barycentric, corners)
     skin = np.flatnonzero(face < 4)
@@ -151,12 +152,7 @@ def skin_exposure(
     seen = exposure(at.reshape(-1, 3), surface, *kernel)
     seen = np.where(seen < 0.0, np.inf, seen).reshape(len(cells), -1)
     if kept is not None:
-        temporary = kept.with_name(f".{kept.name}.{os.getpid()}.npy")
-        try:
-            np.save(temporary, seen)
-            os.replace(temporary, kept)
-        finally:
-            temporary.unlink(missing_ok=True)
+        write_arrays(kept, {"seen": seen})
     return seen
 
 

@@ -6,7 +6,6 @@ What the surface gives is kept beside the geometry, by the hash of all it depend
 from __future__ import annotations
 
 import logging
-import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -25,6 +24,7 @@ from peri.engine.surface.rate_classes import (
 from peri.engine.surface.sampling import default_finest
 from peri.engine.surface.triangles import Surface
 from pipeline.geometry.surface import Solid
+from pipeline.record.whole_file import write_arrays
 
 logger = logging.getLogger(__name__)
 
@@ -68,17 +68,9 @@ def solid_exposure(
         kernel_exponent=kernel_exponent, influence=influence,
     )  # fmt: skip
     if kept is not None:
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        temporary = kept.with_name(f".{kept.name}.{os.getpid()}.npz")
-        try:
-            np.savez(
-                temporary, cell=found.metal.cell, volume=found.metal.volume,
-                exposure=found.metal.exposure, liquid=found.liquid,
-                **{name: _rows(getattr(found.check, name)) for name in _CHECKED},
-            )  # fmt: skip
-            os.replace(temporary, kept)
-        finally:
-            temporary.unlink(missing_ok=True)
+        checked = {name: _rows(getattr(found.check, name)) for name in _CHECKED}
+        arrays = {name: getattr(found.metal, name) for name in ("cell", "volume", "exposure")}
+        write_arrays(kept, {**arrays, "liquid": found.liquid, **checked})
     return found
 
 

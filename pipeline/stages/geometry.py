@@ -2,7 +2,6 @@
 
 import logging
 import math
-import os
 import signal
 import threading
 from collections.abc import Iterator
@@ -16,6 +15,7 @@ from pipeline.geometry.mesh import write_mesh
 from pipeline.geometry.surface import Solid
 from pipeline.geometry.voxel_mask import VoxelMask
 from pipeline.record.run_folder import write_json, write_text
+from pipeline.record.whole_file import whole_file
 from pipeline.scene.image import ImageFile
 from pipeline.scene.scene import Scene, ScrewGeometry
 
@@ -98,8 +98,7 @@ def write_geometry(
 
 def write_surface(folder: Path, solid: Solid) -> None:
     """Store the surface of a solid with its measures as surface.h5 (points in m)."""
-    temporary = folder / f".{SURFACE_FILE}.tmp"
-    with h5py.File(temporary, "w") as file:
+    with whole_file(folder / SURFACE_FILE) as temporary, h5py.File(temporary, "w") as file:
         file.attrs["schema_version"] = SCHEMA_VERSION
         file.attrs["name"] = solid.name
         for name in _NUMBERS:
@@ -114,7 +113,6 @@ def write_surface(folder: Path, solid: Solid) -> None:
             voxels.attrs["shape"] = solid.voxels.metal.shape
             voxels.attrs["corner"], voxels.attrs["size"] = solid.voxels.corner, solid.voxels.size
             voxels.attrs["description"] = "metal 1, else 0, eight voxels a byte, x fastest"
-    os.replace(temporary, folder / SURFACE_FILE)
 
 
 def read_surface(folder: Path) -> Solid:

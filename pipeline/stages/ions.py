@@ -3,7 +3,6 @@
 import dataclasses
 import logging
 import math
-import os
 import types
 import typing
 from collections.abc import Callable, Sequence
@@ -35,6 +34,7 @@ from peri.transport.chemistry.activity import check_strength
 from peri.transport.chemistry.speciation import Solution, speciate
 from peri.transport.chemistry.species import Chemistry
 from peri.transport.nernst_planck import TransportOptions
+from pipeline.record.run_folder import write_text
 from pipeline.scene.laws.feedback import FeedbackSettings
 from pipeline.scene.laws.ions import IonSettings
 
@@ -340,9 +340,7 @@ def write_ion_images(
         + "\n".join(entries)
         + "\n</Collection>\n</VTKFile>\n"
     )
-    temporary = folder / f"{SERIES_FILE}.tmp"
-    temporary.write_text(text)
-    os.replace(temporary, folder / SERIES_FILE)
+    write_text(folder / SERIES_FILE, text)
 
 
 # --- numbers ------------------------------------------------------------------------------

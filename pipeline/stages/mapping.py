@@ -1,6 +1,5 @@
 """The map stage: corrosion damage f0 on the mesh of the intact solid, per cell or point."""
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from fem.quadrature import find_element, sampling_points
 from peri.corrosion.results import read_corrosion
 from pipeline.geometry.mesh import read_mesh
 from pipeline.geometry.surface import Solid
+from pipeline.record.whole_file import whole_file
 from pipeline.scene.mapping import by_nodes_because
 from pipeline.scene.mechanics import EXPOSURES, NODES
 from pipeline.scene.scene import HoldScene, Scene
@@ -266,8 +266,7 @@ def write_damage(
     mapping, exponent: the map, and with what it was scaled (damage_map.scaled_damage), by which the
     report maps nodes to other points; parts (nc, 8): damage of the eighths of cells, not cut off.
     """
-    temporary = path.with_name(f".{path.name}.tmp")
-    with h5py.File(temporary, "w") as file:
+    with whole_file(path) as temporary, h5py.File(temporary, "w") as file:
         file.attrs["schema_version"] = SCHEMA_VERSION
         file.attrs["element"] = element
         file.attrs["immersion"] = moment.label
@@ -281,7 +280,6 @@ def write_damage(
             data = file.create_dataset("parts", data=parts.astype(np.float32), compression="lzf")
             data.attrs["unit"] = "1"
             data.attrs["dimensions"] = "cell, part of it (geometry.mesh.refine_tetrahedra)"
-    os.replace(temporary, path)
 
 
 def read_damage(path: Path) -> np.ndarray:

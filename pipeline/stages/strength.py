@@ -19,6 +19,7 @@ import numpy as np
 
 from pipeline.geometry.mesh import read_mesh
 from pipeline.record.run_folder import write_json, write_text
+from pipeline.record.whole_file import whole_file
 from pipeline.scene.loads import LOADS
 from pipeline.scene.scene import MaterialParameters, TensileScene
 from pipeline.stages.mapping import DAMAGE_FILE, read_damage
@@ -252,14 +253,14 @@ def _write_picture(out: Path, mesh: object, damage: np.ndarray, result: object) 
     displacement = result.displacement
     if displacement is None:
         displacement = np.zeros_like(mesh.points)
-    temporary = out / ".tensile.part.vtu"
-    meshio.Mesh(
+    picture = meshio.Mesh(
         mesh.points,
         [("tetra", mesh.cells)],
         point_data={"displacement_m": np.nan_to_num(displacement)},
         cell_data={"corrosion_damage": [damage.reshape(len(mesh.cells), -1).mean(axis=1)]},
-    ).write(temporary)
-    os.replace(temporary, out / PICTURE_FILE)
+    )
+    with whole_file(out / PICTURE_FILE) as temporary:
+        picture.write(temporary)
 
 
 def written_files(folder: Path) -> list[Path]:
