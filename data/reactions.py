@@ -9,7 +9,7 @@ kind, given at one or more temperatures. Elements and charge are checked on read
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from . import limits
@@ -155,6 +155,30 @@ class ReactionSet(Record):
             ),
         )
 
+    def used(self, temperature: float, minerals: tuple[str, ...] = ()) -> dict[str, Quantity]:
+        """Return the quantities that `at` reads for a temperature (K), by dotted name."""
+        read = replace(
+            self,
+            species={
+                n: replace(s, diffusivity=_around(s.diffusivity, temperature))
+                for n, s in self.species.items()
+            },
+            reactions={
+                n: replace(r, log_k=_around(r.log_k, temperature))
+                for n, r in self.reactions.items()
+            },
+            minerals={
+                n: replace(
+                    m,
+                    log_k=_around(m.log_k, temperature),
+                    rate_constant=_around(m.rate_constant, temperature),
+                )
+                for n, m in self.minerals.items()
+                if n in minerals
+            },
+        )
+        return read.quantities()
+
 
 @dataclass(frozen=True)
 class MineralNumbers:
@@ -214,6 +238,16 @@ def _between(values: Mapping[float, Quantity], temperature: float, what: str, lo
         share = (1 / temperature - low) / (high - low)
         result = numbers[upper - 1] + share * (numbers[upper] - numbers[upper - 1])
     return math.exp(result) if log else result
+
+
+def _around(values: Mapping[float, Quantity], temperature: float) -> dict[float, Quantity]:
+    """The value at a temperature (K), else the nearest below and above."""
+    near = [t for t in values if abs(t - temperature) < 1e-6]
+    if not near:
+        below = [t for t in values if t < temperature]
+        above = [t for t in values if t > temperature]
+        near = [*([max(below)] if below else []), *([min(above)] if above else [])]
+    return {t: values[t] for t in near}
 
 
 def list_reaction_sets() -> list[str]:

@@ -24,7 +24,7 @@ from pipeline.record import interruption
 from pipeline.record.machine import prepare_libraries
 from pipeline.record.options import add_folder_options, add_machine_options
 from pipeline.record.summary import print_summary
-from pipeline.run import add_init_options, add_run_options, every_option, fitting_scene
+from pipeline.run import add_init_options, add_run_options, assumed, every_option, fitting_scene
 from pipeline.scene.command.alloy_command import add_alloy_options
 from pipeline.scene.command.options import add_scene_options
 from pipeline.scene.command.parser import OneSentenceParser, take_folder
@@ -350,7 +350,8 @@ def _plan(options: argparse.Namespace) -> int:
     )
     checks = examine_machine(scene, solid, plan, Path.cwd(), options.np)
     if options.json:
-        print(json.dumps({**plan.to_json(), "machine": [asdict(c) for c in checks]}, indent=2))
+        told = {"machine": [asdict(c) for c in checks], "assumed": assumed(scene)}
+        print(json.dumps({**plan.to_json(), **told}, indent=2))
     else:
         print_plan(plan)
         print_checks(checks)

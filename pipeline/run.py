@@ -165,7 +165,6 @@ def told(folder: RunFolder, scene: Scene, rows: Sequence[SummaryRow]) -> dict[st
     from pipeline.record.summary import columns
     from pipeline.record.until import UNTIL_FILE, read_until
     from pipeline.report.doubts import checks
-    from pipeline.report.provenance import parameter_rows, to_be_listed
     from pipeline.report.sure import held, how_sure
 
     results = read_run(folder.path, fields=False)
@@ -182,5 +181,14 @@ def told(folder: RunFolder, scene: Scene, rows: Sequence[SummaryRow]) -> dict[st
         "held": held(scene),
         "how_sure": [asdict(row) for row in how_sure(results)],
         "doubts": checks(results),
-        "assumed": [asdict(row) for row in to_be_listed(parameter_rows(scene))],
+        "assumed": assumed(scene),
     }
+
+
+def assumed(scene: Scene) -> list[dict[str, object]]:
+    """Every value of a scene that is assumed, fitted or known to be wrong, for a program."""
+    from dataclasses import asdict
+
+    from pipeline.report.provenance import parameter_rows, to_be_listed
+
+    return [asdict(row) for row in to_be_listed(parameter_rows(scene))]

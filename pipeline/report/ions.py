@@ -41,7 +41,6 @@ def ion_section(run: RunResults) -> dict[str, object]:
         "electrodes": first.get("electrodes", ""),
         "closure": first["closure"],
         "flux_form": first["flux_form"],
-        "assumed": first["assumed"],
         "species": [n for n in SHOWN if n in first["concentrations"]],
         "alloys": [
             {

@@ -91,12 +91,15 @@ class ParameterRow:
 
 
 def parameter_rows(scene: Scene) -> list[ParameterRow]:
-    """Every parameter of the run that has a source: those of each alloy, then of the fit."""
+    """Every parameter of the run that has a source: those of each alloy, then of the fit.
+
+    Of the ions, whose sets hold hundreds of numbers, only those that `to_be_listed` takes.
+    """
     rows: list[ParameterRow] = []
     for alloy in scene.alloys:
         rows += _corrosion_rows(scene, alloy)
         rows += _mechanical_rows(alloy)
-    return rows + _law_rows(scene) + _calibration_rows(scene)
+    return rows + _law_rows(scene) + _ion_rows(scene) + _calibration_rows(scene)
 
 
 def to_be_listed(rows: Iterable[ParameterRow]) -> list[ParameterRow]:
@@ -124,6 +127,7 @@ def references(rows: Iterable[ParameterRow], scene: Scene) -> dict[str, str]:
 def _references_beside(scene: Scene) -> dict[str, Reference]:
     named = [scene.parameter_set]
     named += [name for alloy in scene.alloys for name in (alloy.source, alloy.hardening)]
+    named += [] if scene.ions is None else scene.ions.source.values()
     found: dict[str, Reference] = {}
     for folder in {Path(name).parent for name in named if name.endswith(".toml")}:
         try:
@@ -181,6 +185,64 @@ def _law_rows(scene: Scene) -> list[ParameterRow]:
         ParameterRow("Corrosion", "", title_of(name), "", law, "", "assumed", remark=remark)
         for name, law, remark in rows
     ]
+
+
+def _ion_rows(scene: Scene) -> list[ParameterRow]:
+    """What the ions use that is assumed, fitted or known to be wrong: of medium, set and laws."""
+    ions, place = scene.ions, ("Ions", "")
+    if ions is None:
+        return []
+    rows = [
+        ParameterRow(*place, name, "", law.in_words(), "", "assumed", remark="no source gives it")
+        for name, law in (("Feedback", ions.feedback), ("Electrodes", ions.electrodes))
+        if law is not None
+    ]
+    if ions.electrodes is not None:
+        rows += [
+            ParameterRow(*place, f"{name} of the electrodes", "", f"{value:g}", "SI", "assumed")
+            for name, value in ions.electrodes.numbers.items()
+        ]
+    try:
+        medium = perilife_data.load_medium(ions.source["medium"])
+        reactions = perilife_data.load_reaction_set(medium.reactions)
+    except (ValueError, OSError) as error:
+        logger.info("data of the medium of the scene are not available: %s", error)
+        return rows
+    stated = {
+        "temperature": ions.temperature,
+        "bath_volume": ions.bath_volume,
+        "refresh_interval": ions.exchange_every,
+        **{f"species.{name}.total_concentration": c for name, c in ions.totals.items()},
+    }
+    used = {
+        name: quantity
+        for name, quantity in medium.quantities().items()
+        if stated.get(name) is not None and _same(stated[name], quantity.si)
+    }
+    for name, quantity in reactions.used(ions.temperature, ions.minerals).items():
+        needed = {
+            "inhibitor": ions.feedback is not None and ions.feedback.inhibitor,
+            "ion_size": ions.activity == "wateq",
+            "strength_coefficient": ions.activity == "wateq",
+        }
+        if all(needed.get(part, True) for part in name.split(".")):
+            used[name] = quantity
+    rows += [_row(place, _of_ions(name), q.si, q) for name, q in used.items()]
+    return to_be_listed(rows)
+
+
+def _of_ions(name: str) -> str:
+    """A quantity of a medium or reaction set by its dotted name, for a reader.
+
+    `species.H.diffusivity.310.15` is the diffusivity of H at 37 °C.
+    """
+    parts = name.split(".", 3)
+    if parts[0] == "inhibitor":
+        return f"{parts[1]} of the inhibitor"
+    if len(parts) < 3:
+        return name
+    at = f" at {float(parts[3]) - 273.15:g} °C" if len(parts) > 3 else ""
+    return f"{parts[2].replace('log_k', 'log10 K')} of {parts[1]}{at}"
 
 
 def _fitted_quantities(scene: Scene, alloy: AlloyScene) -> tuple[dict[str, Quantity], float]:

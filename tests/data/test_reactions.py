@@ -155,3 +155,14 @@ def test_a_species_is_added_by_toml_alone(tmp_path: Path) -> None:
 def test_an_unknown_set_is_refused() -> None:
     with pytest.raises(ValueError, match="reaction set 'seawater' is unknown; known are"):
         load_reaction_set("seawater")
+
+
+def test_used_are_the_values_around_a_temperature_and_of_the_minerals_asked_for() -> None:
+    loaded = load_reaction_set("sbf")
+    at_37 = loaded.used(37.0 + CELSIUS, ("calcite",))
+    assert at_37["species.H.diffusivity.310.15"].si == 10.75e-9
+    assert not [name for name in at_37 if name.endswith(".298.15")]
+    assert {n.split(".")[1] for n in at_37 if n.startswith("minerals.")} == {"calcite"}
+    both = {"species.H.diffusivity.298.15", "species.H.diffusivity.310.15"}
+    assert both < set(loaded.used(30.0 + CELSIUS))
+    assert len(loaded.used(37.0 + CELSIUS)) < len(loaded.used(30.0 + CELSIUS))

@@ -163,6 +163,30 @@ def test_the_law_of_the_rate_is_a_choice(capsys, law, factors):
     assert ("the published kinetics" in named) == (law is not None)
 
 
+def test_what_the_ions_use_and_is_assumed_is_listed(capsys):
+    def listed(*options):
+        assert main(["plan", *changed(*FEW, "--model", "nnpp", *options), "--json"]) == 0
+        rows = json.loads(capsys.readouterr().out)["assumed"]
+        return {row["name"]: row for row in rows if row["section"] == "Ions"}
+
+    rows = listed()
+    ion = rows["Diffusivity of MgHCO3 at 37 °C"]
+    assert (ion["value"], ion["unit"], ion["kind"]) == ("6.12e-10", "m^2/s", "assumed")
+    assert ion["source"] == "parkhurst2013" and "1.28 times" in ion["remark"]
+    assert rows["Nucleation index of calcite"]["value"] == "1.5"
+    assert not [name for name in rows if "25 °C" in name or "bobierrite" in name]
+    assert "Temperature" not in rows  # of this medium it is published
+    assert "Nucleation index of calcite" not in listed("--minerals", "brucite")
+    rows = listed(
+        "--medium", "sodium-chloride-142", "--balance", "Cl", "--feedback", "ph_order=0.3"
+    )
+    assert rows["Temperature"]["value"] == "37" and rows["Feedback"]["value"].startswith("pH to")
+    assert "Total concentration of Na" in rows
+    rows = listed("--medium", "simulated-body-fluid-tris")  # 36.5 °C, between two temperatures
+    assert {f"Diffusivity of Tris at {t} °C" for t in (25, 37)} < set(rows)
+    assert "Diffusivity of K at 25 °C" not in rows  # a published one
+
+
 def test_studies_are_listed_and_refused_in_one_sentence(tmp_path, capsys):
     assert main(["study", "list"]) == 0
     assert "rates" in capsys.readouterr().out
