@@ -113,3 +113,16 @@ def test_measurements_become_bands(place) -> None:
     printed = run("calibrate.sh", place)
     assert "of the samples of the constants" in printed
     assert (place[0] / "runs/bands/bands.csv").is_file()
+
+
+@pytest.mark.slow
+def test_the_two_packages_by_themselves_print_what_the_readme_says(capsys) -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    _, *blocks = re.findall(r"```python\n(.*?)```", text, re.S)
+    code = "".join(blocks)
+    loss, force, status = re.search(r"# 20 seconds: ([\d.]+), (\d+) N, (\w+)", code).groups()
+    exec(compile(code, "README.md", "exec"), {})
+    printed = capsys.readouterr().out.split()
+    assert float(printed[0].strip("[]")) == pytest.approx(float(loss), abs=1e-4)
+    assert float(printed[1]) == pytest.approx(float(force), abs=0.5)
+    assert printed[2] == status
