@@ -55,7 +55,8 @@ def test_in_clean_liquid_every_cell_has_the_same_dose_and_points_their_own_damag
     z = constant_of(scene) * scene.base_interface_diffusivity() * end
     found = doses(scene, well_stirred(scene, [0.0, end]).concentration)
     assert found is not None
-    assert np.nanmax(np.abs(found[0] / z)) < 1e-9
+    # the last digit of what a cell still holds, over the little that the slowest see
+    assert np.nanmax(np.abs(found[0] / z)) < 1e-6
     there = np.isfinite(found[1])
     seeing = np.unique(scene.exposure.metal.cell[class_bond_sums(scene) > 0])
     speaking = scene.exposure.metal.fraction.ravel()[seeing] >= 0.02
