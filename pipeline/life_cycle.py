@@ -328,7 +328,19 @@ class StagedRun:
         self._complete("pull", folder, pull_hash(self.scene, *test), seconds, outcome)
         if str(outcome[1]["status"]).startswith("stopped"):
             self.progress.note(f"{key}: {outcome[1]['status']}; its peak is a lower bound")
-        self.progress.finished(key, seconds)
+        self.progress.finished(key, seconds, self._found(test, outcome[1]))
+
+    def _found(self, test: Test, pulled: dict) -> str:
+        """The peak of a test and, where the intact solid's is known, the share that is left."""
+        alloy, _, hold = test
+        load = LOADS[self.scene.tensile.load]
+        found = load.shown(pulled[f"peak_{load.reaction}"])
+        intact = (alloy, self.scene.with_intact()[0], hold)
+        record = self.folder.complete(self._place(intact), "pull", pull_hash(self.scene, *intact))
+        if record is None or test == intact:
+            return found
+        left = pulled[f"peak_{load.reaction}"] / record.numbers[f"peak_{load.reaction}"]
+        return f"{found}, {100 * left:.0f} % left"
 
     def summarise(self) -> list[SummaryRow]:
         """Write summary.csv from the finished stages and return its rows."""
@@ -420,7 +432,9 @@ class StagedRun:
         interruption.check()
         seconds = time.perf_counter() - begin
         record = self._complete(stage, folder, inputs, seconds, outcome)
-        self.progress.finished(key, seconds)
+        lost = outcome[1].get("volume_loss")
+        found = f"{100 * lost[-1]:.1f} % of the metal lost" if lost else ""
+        self.progress.finished(key, seconds, found)
         return record
 
     def _say_damage(self, stage: str, folder: Path, inputs: str) -> None:

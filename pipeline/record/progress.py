@@ -28,8 +28,8 @@ class Progress:
     def advanced(self, key: str, fraction: float, text: str = "") -> None:
         """`fraction` of `key` is done."""
 
-    def finished(self, key: str, seconds: float) -> None:
-        """`key` is done after `seconds`."""
+    def finished(self, key: str, seconds: float, found: str = "") -> None:
+        """`key` is done after `seconds`; found: what came out, in a few words."""
 
     def reused(self, key: str) -> None:
         """`key` was complete already."""
@@ -82,8 +82,9 @@ class LineProgress(Progress):
             said = ", ".join(filter(None, (f"{100 * fraction:.0f} %", left)))
             self._line(f"{key}: {said} {text}".rstrip())
 
-    def finished(self, key: str, seconds: float) -> None:
-        self._line(f"{key}: done in {format_seconds(seconds)}")
+    def finished(self, key: str, seconds: float, found: str = "") -> None:
+        said = f"{key}: done in {format_seconds(seconds)}"
+        self._line(f"{said}: {found}" if found else said)
 
     def reused(self, key: str) -> None:
         self._line(f"{key}: complete, kept")
@@ -128,10 +129,10 @@ class TerminalProgress(Progress):
             said = ", ".join(filter(None, (left, text)))
             self._bars.update(self._tasks[key], completed=fraction, text=said)
 
-    def finished(self, key: str, seconds: float) -> None:
+    def finished(self, key: str, seconds: float, found: str = "") -> None:
         if key in self._tasks:
             task = self._tasks.pop(key)
-            self._bars.update(task, completed=1.0, text="")
+            self._bars.update(task, completed=1.0, text=found)
             self._bars.stop_task(task)
 
     def reused(self, key: str) -> None:
@@ -145,7 +146,7 @@ class LogProgress(Progress):
     """One JSON object a line and event, added to a file: `at` (UTC), `event`, and what it is of.
 
     `what`: the piece of work; `fraction` of it that is done, at most one such line a second and
-    piece; `seconds` that it took; `text`.
+    piece; `seconds` that it took; `text`, of a piece that is done what came out.
     """
 
     def __init__(self, path: Path | str, interval: float = 1.0):
@@ -170,8 +171,8 @@ class LogProgress(Progress):
             self._last[key] = now
             self._line("advanced", what=key, fraction=round(fraction, 4), text=text)
 
-    def finished(self, key: str, seconds: float) -> None:
-        self._line("finished", what=key, seconds=round(seconds, 3))
+    def finished(self, key: str, seconds: float, found: str = "") -> None:
+        self._line("finished", what=key, seconds=round(seconds, 3), text=found)
 
     def reused(self, key: str) -> None:
         self._line("reused", what=key)
@@ -203,9 +204,9 @@ class SeveralProgresses(Progress):
         for other in self._others:
             other.advanced(key, fraction, text)
 
-    def finished(self, key: str, seconds: float) -> None:
+    def finished(self, key: str, seconds: float, found: str = "") -> None:
         for other in self._others:
-            other.finished(key, seconds)
+            other.finished(key, seconds, found)
 
     def reused(self, key: str) -> None:
         for other in self._others:

@@ -155,6 +155,14 @@ def test_stages_run_in_order_and_fill_the_table(tmp_path, calls):
     assert read_summary(tmp_path / "summary.csv") == rows
 
 
+def test_what_a_stage_found_is_said_as_soon_as_it_ends(tmp_path, calls, capsys):
+    StagedRun(_scene("0w", "1w"), tmp_path, progress=LineProgress(sys.stderr)).run()
+    said = capsys.readouterr().err
+    assert "corrode Mg-A: done in 0.0 s: 5.0 % of the metal lost\n" in said
+    assert "pull Mg-A 0w shank: done in 1.0 s: 400 N\n" in said
+    assert "pull Mg-A 1w shank: done in 1.0 s: 300 N, 75 % left\n" in said
+
+
 def test_the_intact_solid_is_pulled_even_when_time_zero_is_not_asked_for(tmp_path, calls, capsys):
     progress = LineProgress(sys.stderr)
     rows = StagedRun(_scene("1w", "8w"), tmp_path, progress=progress).run()

@@ -16,7 +16,7 @@ def happen(observer: progress.Progress, clock: list[float]) -> None:
         observer.started("corrode Mg-A")
         for clock[0], fraction in ((9.9, 0.2), (20.0, 0.25), (20.5, 0.3), (30.0, 1.0)):
             observer.advanced("corrode Mg-A", fraction, "12 d")
-        observer.finished("corrode Mg-A", 30.04)
+        observer.finished("corrode Mg-A", 30.04, "5.0 % of the metal lost")
         observer.reused("map")
         observer.note("a note with µm")
 
@@ -36,7 +36,7 @@ def test_lines_say_how_long_it_will_take(clock) -> None:
     assert lines == [
         "corrode Mg-A: started",
         "corrode Mg-A: 25 %, about 1 min 00 s left 12 d",
-        "corrode Mg-A: done in 30 s",
+        "corrode Mg-A: done in 30 s: 5.0 % of the metal lost",
         "map: complete, kept",
         "a note with µm",
     ]
@@ -55,7 +55,12 @@ def test_a_log_is_added_to_and_each_line_is_an_object(clock, tmp_path) -> None:
         {"event": "advanced", "what": "corrode Mg-A", "fraction": 0.2, "text": "12 d"},
         {"event": "advanced", "what": "corrode Mg-A", "fraction": 0.25, "text": "12 d"},
         {"event": "advanced", "what": "corrode Mg-A", "fraction": 1.0, "text": "12 d"},
-        {"event": "finished", "what": "corrode Mg-A", "seconds": 30.04},
+        {
+            "event": "finished",
+            "what": "corrode Mg-A",
+            "seconds": 30.04,
+            "text": "5.0 % of the metal lost",
+        },
         {"event": "reused", "what": "map"},
         {"event": "note", "text": "a note with µm"},
     ]
