@@ -29,6 +29,8 @@ from pipeline.stages.pulls import Crew
 CURVE_FOLDER = "strength-curve"
 DEFAULT_TOLERANCE = 0.01
 """Error of the curve, of the intact strength."""
+_INTACT = 1e-12
+"""Volume losses up to it are round-off, as those below a coating that lets nothing through."""
 
 
 def clean_at(scene: Scene, alloy: str, implant: Implant, times: ArrayLike) -> Omission:
@@ -154,14 +156,15 @@ def curve_to(
 ) -> StrengthCurve:
     """The curve of peaks between two volume losses, held in one way.
 
-    Raises SceneError where too many tests leave too large an error.
+    smallest_loss: none, too, where it is `_INTACT` or less.  Raises SceneError where too many tests
+    leave too large an error.
     """
     try:
         curve = strength_curve(
             lambda losses: tests.peaks(hold, losses),
             largest_loss,
             tolerance,
-            smallest_loss=smallest_loss,
+            smallest_loss=smallest_loss if smallest_loss > _INTACT else 0.0,
         )
     except ValueError as error:
         raise SceneError(f"{error} ({tests.alloy} held by {hold})") from None

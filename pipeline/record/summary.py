@@ -81,17 +81,16 @@ def read_summary(path: Path) -> list[SummaryRow]:
 
 
 def shown(rows: Sequence[SummaryRow]) -> tuple[list[str], list[list[str]]]:
-    """Titles and cells of the rows, all of one load, for a reader."""
+    """Titles and cells of the rows, all of one load, for a reader; 80 columns hold them."""
     names = LOADS[rows[0].load]
     titles = [
         "alloy",
         "hold",
-        "immersion [d]",
+        "time [d]",
         "volume loss [%]",
-        "mean damage",
         f"peak {names.reaction} [{names.shown_unit}]",
-        "strength left",
-        f"{names.strain_title.lower()} at peak",
+        "strength left [%]",
+        "strain at peak [%]",
         "status",
     ]
     return titles, [
@@ -100,10 +99,9 @@ def shown(rows: Sequence[SummaryRow]) -> tuple[list[str], list[list[str]]]:
             row.hold,
             f"{row.immersion_days:g}",
             f"{100 * row.volume_loss:.2f}",
-            f"{row.mean_corrosion_damage:.4f}",
             f"{names.shown_factor * row.peak_reaction:.1f}",
-            f"{row.strength_ratio:.3f}",
-            f"{row.strain_at_peak:.4f}",
+            f"{100 * row.strength_ratio:.1f}",
+            f"{100 * row.strain_at_peak:.2f}",
             row.status,
         ]
         for row in rows
@@ -112,16 +110,21 @@ def shown(rows: Sequence[SummaryRow]) -> tuple[list[str], list[list[str]]]:
 
 def print_summary(rows: Sequence[SummaryRow], stream: TextIO | None = None) -> None:
     """Print the rows, all of one load, for a reader; on stdout where no stream is given."""
+    from rich import box
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
 
     stream = stream or sys.stdout
-    table = Table(title=f"Residual {LOADS[rows[0].load].strength}")
+    table = Table(
+        box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), title=f"Residual {LOADS[rows[0].load].strength}"
+    )
     titles, cells = shown(rows)
     for title in titles:
-        side = "left" if title in ("alloy", "hold", "status") else "right"
-        table.add_column(escape(title), justify=side)
+        words = title in ("alloy", "hold", "status")
+        longest = max(map(len, title.split()))  # what rich would cut in a narrow terminal
+        side = "left" if words else "right"
+        table.add_column(escape(title), justify=side, min_width=longest, no_wrap=words)
     for row in cells:
         table.add_row(*row)
     Console(file=stream, width=None if stream.isatty() else 120).print(table)

@@ -35,13 +35,13 @@ def test_losses_are_those_of_the_study_and_five_measurements_determine_two_const
 
 
 @pytest.mark.slow
-def test_four_fifths_of_the_strength_are_left_at_eighteen_per_cent(screw, tmp_path):
-    """Held by the shank; 19.0 % while increments let the damage lag."""
+def test_four_fifths_of_the_strength_are_left_at_twenty_per_cent(screw, tmp_path):
+    """Held by the shank; 18.3 % with one f per cell."""
     scene, implant, model, logs = screw
     tests = CurveTests(scene, "Mg-5Gd", implant, tmp_path, workers=2)
     curve = curve_to(tests, "shank", 0.226)
     assert len(curve.losses) <= 5 and 0 < curve.error() <= 0.01
     loss = curve.loss_at(0.8 * curve.whole)
-    assert loss == pytest.approx(0.1825, abs=0.001)  # measured 18.25 %, after 86 days
+    assert loss == pytest.approx(0.198, abs=0.002)  # measured 19.8 %, after 110 days
     days = brentq(lambda day: float(model(np.array([day * DAY]), logs)[0][0]) - loss, 50, 200)
-    assert 84 < days < 89, (loss, curve.error())
+    assert 108 < days < 112, (loss, curve.error())

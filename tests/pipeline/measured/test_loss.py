@@ -110,7 +110,7 @@ def test_the_command_writes_table_and_field(tmp_path, capsys) -> None:
     refused(capsys, refused_so_far, "corrode", "not complete")
     assert main(["corrode", "--out", out, "--quiet"]) == 0
     capsys.readouterr()
-    refused(capsys, ["compare-image", out, *scan, "--time", "7w"], "time 7w", "0w, 8w")
+    refused(capsys, ["compare-image", out, *scan, "--time", "7w"], "time '7w'", "0w, 8w")
     refused(capsys, ["compare-image", out, "--time", "8w"], "--image")
     assert main(["compare-image", out, *scan, "--time", "8w"]) == 0
     assert "root mean square" in capsys.readouterr().out

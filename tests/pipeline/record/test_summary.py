@@ -1,5 +1,7 @@
 """The table of a run comes back from its file, degradation rates included."""
 
+import io
+
 import pytest
 
 from pipeline.record.bands import BandRow, print_bands
@@ -26,6 +28,19 @@ def test_printed_tables_keep_the_units_of_their_columns(capsys):
     print_bands([BandRow("A", "shank", 84.0, three, three, three, 200, 0.004)])
     said = capsys.readouterr().out
     assert "[d]" in said and "[mm/year]" in said and "[%]" in said
+
+
+def test_eighty_columns_hold_the_table(monkeypatch):
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    monkeypatch.setenv("COLUMNS", "80")
+    row = SummaryRow("Mg-10Gd", "shank", 168.0, 0.1359, 0.13, 1487.0, 0.892, 0.1, "completed")
+    print_summary([row], said := Terminal())
+    cells = "Mg-10Gd shank 168 13.59 1487.0 89.2 10.00 completed"
+    assert cells.split() in [line.split() for line in said.getvalue().splitlines()]
+    assert "…" not in said.getvalue()
 
 
 def test_a_table_with_other_columns_is_refused(tmp_path):
