@@ -108,7 +108,7 @@ class CurveTests:
         )
         if moments[-1].seconds > 0:
             clean_at(self.scene, self.alloy, self.implant, [m.seconds for m in moments])
-        scene = replace(self.scene, immersion=moments)
+        scene = self.scene.at(*moments)
         ends = dict.fromkeys((moments[0].label, moments[-1].label))
         folder = RunFolder(self.folder / "-".join(ends))
         if self.geometry is not None and not folder.geometry.exists():

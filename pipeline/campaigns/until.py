@@ -267,9 +267,7 @@ class UntilRun(StagedRun):
         """March, map and test to one time, in a run folder of its own, done once."""
         moment = ImmersionTime(f"{seconds / 3600:.6g}h", seconds)
         # what the ions do is left out: they do not act on the metal
-        scene = replace(
-            self.scene, alloys=(self.scene.alloy(alloy),), immersion=(moment,), ions=None
-        )
+        scene = replace(self.scene.at(moment), alloys=(self.scene.alloy(alloy),), ions=None)
         folder = RunFolder(self.folder.path / alloy / UNTIL_FOLDER / moment.label)
         if not folder.geometry.exists():
             take_over(self.folder.geometry, folder.geometry)

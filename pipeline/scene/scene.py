@@ -404,6 +404,14 @@ class Scene:
             return self.immersion
         return (ImmersionTime("0w", 0.0), *self.immersion)
 
+    def at(self, *times: ImmersionTime) -> "Scene":
+        """The scene at other times; a fixed time step is at most the last of them."""
+        step, last = self.corrosion.step, times[-1].seconds
+        if step is not None and 0 < last < step:
+            step = last
+        corrosion = dataclasses.replace(self.corrosion, step=step)
+        return dataclasses.replace(self, immersion=times, corrosion=corrosion)
+
     def to_json(self) -> dict:
         """Plain mapping that `scene_from_json` turns back into an equal scene."""
         content = json.loads(json.dumps(dataclasses.asdict(self), allow_nan=False))

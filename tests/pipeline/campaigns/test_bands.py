@@ -20,6 +20,7 @@ from pipeline.record.progress import Progress
 from pipeline.record.summary import read_summary
 from pipeline.scene.resolve import OWN_PARAMETERS, resolve_scene
 from pipeline.scene.scene import SceneError
+from pipeline.scene.units import ImmersionTime
 from tests.pipeline.calibration.test_calibrate import COARSE, PIN
 
 
@@ -98,6 +99,13 @@ def test_tests_of_a_curve_begin_at_the_volume_loss_asked_for(tmp_path):
         assert model(np.array([time]), rate)[0][0] == pytest.approx(loss, rel=1e-9)
     with pytest.raises(SceneError, match="must be below"):
         tests.time_of(0.999)
+
+
+def test_a_fixed_step_is_no_longer_than_the_times_of_a_search():
+    scene = resolve_scene(["Mg-5Gd"], ["8w"], **{**COARSE, "corrosion": {"step": 86400.0}})
+    assert scene.at(ImmersionTime("0w", 0.0), ImmersionTime("6h", 21600.0)).corrosion.step == 21600
+    assert scene.at(ImmersionTime("2d", 172800.0)).corrosion.step == 86400
+    assert scene.at(ImmersionTime("0w", 0.0)).corrosion.step == 86400
 
 
 def test_the_fastest_and_the_farthest_of_the_samples_must_be_within_the_bound(monkeypatch):
