@@ -39,6 +39,8 @@ from pipeline.studies.reference import continuum_volume_loss
 DAY = 86400.0
 HOUR = 3600.0
 TIMES = (7 * DAY, 28 * DAY, 56 * DAY)
+ALONE = (*TIMES, 168 * DAY)
+"""Where marches end that stop nowhere before: steps are longest there."""
 CLASSES = 3
 """Rate classes of the study, those that `--classes auto` takes."""
 
@@ -50,8 +52,8 @@ EXACT = "exact in time"
 class March:
     """What one march found; seconds are of the processor.
 
-    volume_loss: at TIMES; own: what the scene finds of its error itself, None by nodes; setup: of
-    metal and surface, once for a lattice; march: of the march.
+    volume_loss: at the times of the march; own: what the scene finds of its error itself, None by
+    nodes; setup: of metal and surface, once for a lattice; march: of the march.
     """
 
     volume_loss: tuple[float, ...]
@@ -133,11 +135,15 @@ class Cases:
 
         return np.array(self._kept(f"{self.alloy} reference", work)["volume_loss"])
 
-    def march(self, place: Place, how: TimeStepping | str) -> March:
+    def march(
+        self, place: Place, how: TimeStepping | str, times: tuple[float, ...] = TIMES
+    ) -> March:
         """March at a place: with these steps the liquid is computed, EXACT leaves it out."""
         # The surface belongs to the lattice, whatever the alloy: its seconds are kept by lattice.
         lattice = f"{place.ratio}-{place.classes}-{place.position}"
         name = how if isinstance(how, str) else f"{how.scheme}-{how.step}-{how.rate_change}"
+        if times != TIMES:
+            name += " to " + "-".join(f"{time / DAY:g}" for time in times)
 
         def work() -> dict[str, object]:
             begun = time.process_time()
@@ -145,7 +151,7 @@ class Cases:
             setup = {"seconds": time.process_time() - begun}
             setup = self._kept(f"set-up {lattice}", lambda: setup)
             begun = time.process_time()
-            result = _solved(scene, how)
+            result = _solved(scene, how, times)
             seconds = time.process_time() - begun
             return asdict(
                 March(
@@ -169,11 +175,13 @@ class Cases:
         return json.loads(path.read_text(encoding="utf-8"))
 
 
-def _solved(scene: CorrosionScene, how: TimeStepping | str) -> CorrosionResult:
+def _solved(
+    scene: CorrosionScene, how: TimeStepping | str, times: tuple[float, ...]
+) -> CorrosionResult:
     if how == EXACT:
-        return well_stirred(scene, TIMES)
+        return well_stirred(scene, times)
     assert isinstance(how, TimeStepping)
-    return corrode(scene, TIMES, how)
+    return corrode(scene, times, how)
 
 
 def screw_scene(alloy: str, ratio: int, saturation: str) -> CorrosionScene:

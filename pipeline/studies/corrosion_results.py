@@ -176,7 +176,8 @@ def presets_text(study: Study, command: str) -> str:
     found = settings(study.rows)
     lines = [
         "# Lattice and time steps of the presets, with their measured errors of the volume loss",
-        "# (largest relative error after 7, 28 and 56 days, reference screw, Table 5.1).",
+        "# (largest relative error after 7, 28 and 56 days, that of steps of marches to one of",
+        "# them or to 168 days alone, too; reference screw, Table 5.1).",
         f"# Written by: {command}",
         "# then copied to pipeline/scene/presets.toml. A preset is the cheapest setting within its",
         "# wanted error for all alloys, or the best one measured where none reaches it. Set-up of",

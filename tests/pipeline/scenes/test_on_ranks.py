@@ -129,6 +129,7 @@ def test_an_interrupted_scene_leaves_nothing_running_and_is_resumed(number, code
     """After the first checkpoint; resumed in one process, to the same digits."""
     text = path_of("pit-304").read_text(encoding="utf-8").replace('"5um"', '"10um"', 1)
     scene, out = tmp_path / "pit.toml", tmp_path / "run"
+    text = text.replace('step = { value = "1s"', 'step = { value = "0.25s"')  # beyond 30 s in all
     scene.write_text(text.replace('"600s"]', '"400s"]'))
     mark = f"perilife-test-{os.getpid()}-{number}"
     environment = {**child_environment(0, 1), "PERILIFE_TEST_MARK": mark}
