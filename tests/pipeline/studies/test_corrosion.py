@@ -16,7 +16,7 @@ from pipeline.studies import boundaries as study_boundaries
 from pipeline.studies import corrosion as study_corrosion
 from pipeline.studies import corrosion_results as study_results
 from pipeline.studies import rates as study_rates
-from pipeline.studies.cases import EXACT, TIMES, Cases, March, Place
+from pipeline.studies.cases import ALONE, EXACT, TIMES, Cases, March, Place
 from pipeline.studies.corrosion import LATTICE_CURVES, RATE_CHANGES, STEP_CURVES, Row, Study
 from pipeline.studies.reference import continuum_volume_loss
 from tests.pipeline.geometry.solids import icosphere
@@ -158,12 +158,14 @@ def known_marches(monkeypatch, clean: bool) -> None:
         def exact(self):
             return LIMIT
 
-        def march(self, place, how):
+        def march(self, place, how, times=TIMES):
             error = 0.04 / place.ratio**2 if place.classes else 0.02 / place.ratio
             if not isinstance(how, str):
                 # All scenes that march with the same steps err alike by them.
                 error += 0.01 * (how.rate_change if how.step is None else 1.0) ** 2 * clean
-            losses = LIMIT * (1 + error + 1e-4 * place.position)
+                error += 0.003 * (len(times) == 1)
+            known = dict(zip(ALONE, (*LIMIT, 0.2), strict=True))
+            losses = np.array([known[t] for t in times]) * (1 + error + 1e-4 * place.position)
             return March(tuple(losses), 0.005 if place.classes else None, 1000, 10, 3.0, 2.0)
 
     def cases(alloy, solid, keep):
@@ -196,6 +198,14 @@ def test_errors_are_medians_over_positions_against_the_limit(monkeypatch, clean)
         assert (found.own is None) == (found.classes == 0)
     nodes = study_results.errors_by_nodes(study.rows, 3)
     assert nodes == {"Mg": pytest.approx(0.02 / 3 + doubt, rel=1e-3)}
+
+
+def test_controlled_steps_err_as_where_a_march_stops_nowhere_before(monkeypatch):
+    known_marches(monkeypatch, clean=True)
+    study = study_corrosion.study_corrosion(["Mg"], print, {2: 1, 3: 1, 4: 1}, {})
+    errors = {(r.curve, r.choice): r.time_error for r in study.rows if r.curve in STEP_CURVES}
+    assert errors[STEP_CURVES[2], "0.1"] == pytest.approx((0.003 + 0.01 * 0.1**2) / 1.01, rel=1e-6)
+    assert errors[STEP_CURVES[1], "24 h"] == pytest.approx(0.01 / 1.01, rel=1e-6)
 
 
 def test_what_a_study_has_found_is_kept(cases):
