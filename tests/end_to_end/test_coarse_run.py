@@ -294,6 +294,14 @@ def test_every_file_of_the_run_folder_is_there(run):
     assert "Mg-10Gd" in printed
 
 
+def same_content(one: bytes, other: bytes) -> bool:
+    """Whether both are JSON of the same content."""
+    try:
+        return json.loads(one) == json.loads(other)
+    except ValueError:
+        return False
+
+
 def test_every_damaged_file_of_a_run_is_named(run, tmp_path):
     """Truncated, changed in one byte, or gone: whatever a stage left, its records too."""
     from pipeline.record.run_folder import RunFolder
@@ -313,6 +321,8 @@ def test_every_damaged_file_of_a_run_is_named(run, tmp_path):
         middle = len(whole) // 2
         changed = whole[:middle] + bytes([whole[middle] ^ 1]) + whole[middle + 1 :]
         stage, inputs = told_by[record]["stage"], told_by[record]["inputs"]
+        if path == record and same_content(changed, whole):
+            changed = whole.replace(b"{", b"[", 1)  # the byte was the 17th digit of a number
         for damaged in (whole[:middle], changed, b""):
             path.write_bytes(damaged)
             assert folder.complete(record.parent, stage, inputs) is None
