@@ -233,7 +233,10 @@ class StagedRun:
                 self.folder.descriptors,
             )  # fmt: skip
 
-        return self._do("corrode", key, folder, inputs, work)
+        return self._do(
+            "corrode", key, folder, inputs, work,
+            lambda numbers: f"{100 * numbers['volume_loss'][-1]:.1f} % of the metal lost",
+        )  # fmt: skip
 
     def map(self, alloy: str, moment: ImmersionTime, hold: HoldScene) -> StageRecord:
         """Corrosion damage of one alloy after one immersion time on the mesh of a holding."""
@@ -336,8 +339,10 @@ class StagedRun:
         load = LOADS[self.scene.tensile.load]
         found = load.shown(pulled[f"peak_{load.reaction}"])
         intact = (alloy, self.scene.with_intact()[0], hold)
+        if test == intact:
+            return found
         record = self.folder.complete(self._place(intact), "pull", pull_hash(self.scene, *intact))
-        if record is None or test == intact:
+        if record is None:
             return found
         left = pulled[f"peak_{load.reaction}"] / record.numbers[f"peak_{load.reaction}"]
         return f"{found}, {100 * left:.0f} % left"
@@ -416,9 +421,13 @@ class StagedRun:
         return record
 
     def _do(
-        self, stage: str, key: str, folder: Path, inputs: str, work: Callable[[], Outcome]
-    ) -> StageRecord:
-        """Do a stage unless it is complete, and write its record last."""
+        self, stage: str, key: str, folder: Path, inputs: str, work: Callable[[], Outcome],
+        found: Callable[[dict], str] = lambda numbers: "",
+    ) -> StageRecord:  # fmt: skip
+        """Do a stage unless it is complete, and write its record last.
+
+        found: of the numbers of the record, what came out, in a few words.
+        """
         record = self.folder.complete(folder, stage, inputs)
         if record is not None:
             self.progress.reused(key)
@@ -432,9 +441,7 @@ class StagedRun:
         interruption.check()
         seconds = time.perf_counter() - begin
         record = self._complete(stage, folder, inputs, seconds, outcome)
-        lost = outcome[1].get("volume_loss")
-        found = f"{100 * lost[-1]:.1f} % of the metal lost" if lost else ""
-        self.progress.finished(key, seconds, found)
+        self.progress.finished(key, seconds, found(outcome[1]))
         return record
 
     def _say_damage(self, stage: str, folder: Path, inputs: str) -> None:
