@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import os
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.record.run_folder import write_text
+from pipeline.record.whole_file import whole_file
 from pipeline.scene.units import format_seconds
 from pipeline.studies.cases import CLASSES, TIMES
 from pipeline.studies.corrosion import (
@@ -301,13 +301,14 @@ def write_study(study: Study, folder: Path, command: str) -> list[Path]:
 
 def write_rows(rows: Sequence[Row], path: Path) -> None:
     """The rows as CSV, SI, with their total error as the last column."""
-    temporary = path.with_suffix(".tmp")
-    with temporary.open("w", newline="", encoding="utf-8") as file:
+    with (
+        whole_file(path) as temporary,
+        temporary.open("w", newline="", encoding="utf-8") as file,
+    ):
         writer = csv.DictWriter(file, [*asdict(rows[0]), "error"])
         writer.writeheader()
         for row in rows:
             writer.writerow({**asdict(row), "error": row.error})
-    os.replace(temporary, path)
 
 
 def read_rows(path: Path) -> list[Row]:
@@ -363,9 +364,8 @@ def draw(rows: Sequence[Row], path: Path) -> None:
         below.set_xlabel("processor time of surface and 56 days / s")
     panels[0][0].set_ylabel("error of the volume loss / %\n(lattice and time together)")
     panels[1][0].set_ylabel("error of the volume loss / %\n(time alone)")
-    temporary = path.with_name(f".{path.name}")
-    figure.savefig(temporary, dpi=120, format="png")
-    os.replace(temporary, path)
+    with whole_file(path) as temporary:
+        figure.savefig(temporary, dpi=120, format="png")
 
 
 def _curves(axes, rows, names, error_of) -> None:

@@ -9,7 +9,6 @@ medium for two weeks, with minerals that do form; compared with far shorter step
 from __future__ import annotations
 
 import dataclasses
-import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -29,6 +28,7 @@ from peri.transport.chemistry.speciation import Solution, speciate
 from peri.transport.chemistry.species import Chemistry
 from peri.transport.liquid import LiquidSpace, LiquidState
 from peri.transport.nernst_planck import QuasiSteadyLiquid, TransportOptions
+from pipeline.record.whole_file import whole_file
 
 FILE = "nnpp.md"
 HOUR, DAY = 3600.0, 86400.0
@@ -396,10 +396,8 @@ def write_text(out: Path | None, name: str, title: str, command: str, text: str)
     """A Markdown file in a folder, complete or not at all; nothing without a folder."""
     if out is None:
         return
-    out.mkdir(parents=True, exist_ok=True)
-    path, temporary = out / name, out / f".{name}"
-    temporary.write_text(
-        f"{title}\n\nWritten by `{command} --out {out.name}`.\n\n{text}", encoding="utf-8"
-    )
-    os.replace(temporary, path)
+    path = out / name
+    page = f"{title}\n\nWritten by `{command} --out {out.name}`.\n\n{text}"
+    with whole_file(path) as temporary:
+        temporary.write_text(page, encoding="utf-8")
     print(path)

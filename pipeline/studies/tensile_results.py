@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.record.run_folder import write_text
+from pipeline.record.whole_file import whole_file
 from pipeline.studies.tensile import (
     DAMAGE_CURVE,
     GRIP_CURVE,
@@ -313,6 +313,5 @@ def draw(study: Study, path: Path) -> None:
                 axis.set_minor_formatter("")
         row_of_panels[0].set_ylabel("error of the peak force / %\n(grey: not known better)")
     panels[0][0].legend(fontsize=8, loc="lower left")
-    temporary = path.with_name(f".{path.name}")
-    figure.savefig(temporary, dpi=110, format="png")
-    os.replace(temporary, path)
+    with whole_file(path) as temporary:
+        figure.savefig(temporary, dpi=110, format="png")

@@ -24,8 +24,9 @@ import numpy as np
 
 from pipeline.record.children import end_with_parent
 from pipeline.record.machine import child_environment
-from pipeline.record.run_folder import write_json
+from pipeline.record.run_folder import write_json, write_text
 from pipeline.record.stage_hashes import STAGE_REVISION
+from pipeline.record.whole_file import whole_file
 from pipeline.scene.mapping import mapping_of
 from pipeline.scene.mechanics import EXPOSURES
 from pipeline.scene.resolve import resolve_scene
@@ -409,12 +410,13 @@ def weeks(label: str) -> float:
 
 def write_rows(rows: Sequence[Row], path: Path) -> None:
     """The rows as CSV, SI."""
-    temporary = path.with_name(f".{path.name}")
-    with temporary.open("w", newline="", encoding="utf-8") as file:
+    with (
+        whole_file(path) as temporary,
+        temporary.open("w", newline="", encoding="utf-8") as file,
+    ):
         writer = csv.DictWriter(file, [field.name for field in fields(Row)])
         writer.writeheader()
         writer.writerows(asdict(row) for row in rows)
-    os.replace(temporary, path)
 
 
 def read_rows(path: Path) -> list[Row]:
@@ -437,9 +439,6 @@ def read_rows(path: Path) -> list[Row]:
 
 def write_page(title: str, lines: Sequence[str], path: Path, command: str) -> Path:
     """Tables of a study as a Markdown file that names the command that made it, in one step."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     text = "\n".join([f"# {title}", "", f"Written by `{command}`.", "", *lines, ""])
-    temporary = path.with_name(f".{path.name}")
-    temporary.write_text(text, encoding="utf-8")
-    os.replace(temporary, path)
+    write_text(path, text)
     return path
